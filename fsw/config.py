@@ -1,0 +1,199 @@
+"""Settings of the flight software: every number that flight code uses, with unit and range. Data only.
+
+The flight software has its own idea of the satellite (inertia, wheel axes, limits). The truth is the plant's business.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Annotated, Any, ClassVar, Literal
+
+from bus.units import Ge, Gt, Le, Mat3, NonNegative, Positive, RadS, Seconds, Unit, Vec3, Vec4
+
+STRICT: dict[str, Any] = {"extra": "forbid", "allow_inf_nan": False}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ModelConfig:
+    """What the flight software believes about the satellite."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
+
+    inertia_kgm2: Annotated[Mat3, Unit("kg m^2")]
+    wheel_max_torque_nm: Annotated[float, Unit("N m"), Gt(0)] = 0.1
+    wheel_max_speed_rad_s: Annotated[RadS, Gt(0)] = 1000.0
+    wheel_inertia_kgm2: Annotated[float, Unit("kg m^2"), Gt(0)] = 0.01
+    wheel_momentum: bool = True  # count the wheels' momentum in the gyroscopic term
+
+
+# -- estimators ----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DirectConfig:
+    """Star-tracker attitude carried forward with the gyro rate; no filtering. For ideal sensors."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
+
+    kind: Literal["direct"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MekfConfig:
+    """Multiplicative extended Kalman filter with gyro bias states (Lefferts, Markley & Shuster 1982)."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
+
+    kind: Literal["mekf"]
+    gyro_arw_rad_sqrt_s: Positive = 2.91e-5
+    gyro_rrw_rad_s_sqrt_s: Positive = 1e-7
+    star_noise_arcsec: Annotated[Vec3, Unit("arcsec")] = (10.0, 10.0, 52.0)
+    initial_attitude_sigma_deg: Annotated[float, Unit("deg"), Gt(0)] = 1.0
+    initial_bias_sigma_rad_s: Positive = 1e-3
+    gate_sigma: Positive = 6.0  # innovations beyond this are rejected and counted
+
+
+# -- detectors -----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NoDetectorConfig:
+    """No fault detection: the estimate passes through."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
+
+    kind: Literal["none"]
+
+
+# -- observers -----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NoObserverConfig:
+    """No fault-torque estimate (zeros)."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
+
+    kind: Literal["none"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class IloConfig:
+    """Iterative learning observer, Zhang, Ye & Sun 2018, eqs (12)-(13). Gains belong to `period_s`."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
+
+    kind: Literal["ilo"]
+    period_s: Annotated[Seconds, Gt(0)] = 0.1
+    k1: Annotated[float, Ge(0), Le(1)] = 0.15  # [1]
+    k2: NonNegative = 98.0  # [N m s/rad]
+    k3: NonNegative = 21.0  # [N m s/rad]
+    lambda_nm_s: NonNegative = 0.1  # [N m s/rad]
+
+
+# -- controllers ---------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SmcConfig:
+    """Sliding-mode law with adaptive surface slope, Zhang, Ye & Sun 2018, eqs (33)-(35)."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
+
+    kind: Literal["smc"]
+    k1: Positive = 5.6  # [N m s/rad]; k2 = 1/k1
+    mu: Positive = 2.0
+    beta0: Positive = 0.4
+    beta_law: Literal["published", "lyapunov", "fixed"] = "published"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VariableStructureConfig:
+    """Saturated variable-structure law, tau_rw = -tau_max sat(D0^T s / epsilon), s = w + k q (a baseline)."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
+
+    kind: Literal["variable_structure"]
+    k: Positive = 0.16  # [rad/s]
+    epsilon: Positive = 0.02  # boundary layer [rad/s]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BrakingProfileConfig:
+    """Sliding surface along a braking profile, s = w - w_d(theta), with a margin that adapts to what the wheels give."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
+
+    kind: Literal["braking_profile"]
+    braking_torque_nm: Positive = 0.04  # per wheel, where the margin starts
+    eta: Annotated[float, Gt(0), Le(1)] = 0.8
+    k_theta: Positive = 0.35  # [1/s]
+    k_s: Positive = 1.2  # [1/s]
+    adapt: bool = True
+
+
+# -- allocators ----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PseudoInverseConfig:
+    """tau_rw = D0^T (D0 D0^T)^-1 tau, then limited per wheel (`clip`) or scaled as a whole (`direction`)."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
+
+    kind: Literal["pseudo_inverse"]
+    saturation: Literal["clip", "direction"] = "clip"
+
+
+# -- executive and modes -------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExecutiveConfig:
+    """Rates and what to do when a cycle is late. The base rate is the run's tick rate."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
+
+    control_divider: Annotated[int, Ge(1)] = 1  # observe, guide, control, allocate every n-th tick
+    overrun: Literal["skip", "catch_up", "degrade", "safe"] = "skip"
+    max_consecutive_slips: Annotated[int, Ge(1)] = 50  # past this the run ends as an infrastructure failure
+    watchdog_s: Annotated[Seconds, Gt(0)] = 2.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ModesConfig:
+    """When to change mode."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
+
+    initial: Literal["standby", "detumble", "point", "safe"] = "point"  # entered once sensors are valid
+    detumble_above_deg_s: Annotated[float, Unit("deg/s"), Gt(0)] = 5.0
+    point_below_deg_s: Annotated[float, Unit("deg/s"), Gt(0)] = 2.0
+    stale_after_ticks: Annotated[int, Ge(1)] = 5  # K: last good value is held this long, then the unit is stale
+    star_stale_after_s: Annotated[Seconds, Gt(0)] = 5.0
+    recover_after_ticks: Annotated[int, Ge(1)] = 20  # good ticks before safe is left
+    damping_nm_s: Positive = 20.0  # rate damping gain in detumble and safe [N m s/rad]
+
+
+EstimatorConfig = DirectConfig | MekfConfig
+DetectorConfig = NoDetectorConfig
+ObserverConfig = NoObserverConfig | IloConfig
+ControllerConfig = SmcConfig | VariableStructureConfig | BrakingProfileConfig
+AllocatorConfig = PseudoInverseConfig
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FswConfig:
+    """Everything the flight software needs beside the clock and the bus."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
+
+    model: ModelConfig
+    target_q: Vec4 = (1.0, 0.0, 0.0, 0.0)  # attitude to reach, q_it, scalar first; normalised when read
+    estimator: EstimatorConfig
+    detector: DetectorConfig = field(default_factory=lambda: NoDetectorConfig(kind="none"))
+    observer: ObserverConfig
+    controller: ControllerConfig
+    allocator: AllocatorConfig = field(default_factory=lambda: PseudoInverseConfig(kind="pseudo_inverse"))
+    executive: ExecutiveConfig = field(default_factory=ExecutiveConfig)
+    modes: ModesConfig = field(default_factory=ModesConfig)

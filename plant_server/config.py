@@ -1,0 +1,165 @@
+"""Settings of the plant: every number that the truth model uses, with unit and range. Data only.
+
+Keys carry their unit. Angles are given in degrees where people think in degrees; the models convert once, at start.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Annotated, Any, ClassVar, Literal
+
+from bus.units import Deg, Ge, Gt, KgM2, Le, Mat3, NewtonMetre, NonNegative, Positive, RadS, Seconds, Unit, Vec3, Vec4
+
+STRICT: dict[str, Any] = {"extra": "forbid", "allow_inf_nan": False}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BodyConfig:
+    """Rigid body and where it starts."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
+
+    inertia_kgm2: Annotated[Mat3, Unit("kg m^2")]  # body axes, wheels locked; symmetric positive definite
+    attitude_q: Vec4 = (1.0, 0.0, 0.0, 0.0)  # q_ib at t = 0, scalar first; normalised when read
+    rate_deg_s: Annotated[Vec3, Unit("deg/s")] = (0.0, 0.0, 0.0)  # omega_bi_b at t = 0
+    wheel_gyroscopic: bool = True  # False: the papers' plant, J w' = -w x J w + D tau, without the wheels' momentum
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WheelConfig:
+    """One reaction wheel. Nominal axis `mount`, true axis tilted and clocked by the misalignment (spec 000, eq (3))."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
+
+    mount: Literal["x", "y", "z", "skew"]
+    tilt_deg: Deg = 0.0  # delta alpha
+    clock_deg: Deg = 0.0  # delta beta
+    inertia_kgm2: Annotated[KgM2, Gt(0)] = 0.01  # rotor, about its spin axis
+    max_torque_nm: Annotated[NewtonMetre, Gt(0)] = 0.1
+    max_speed_rad_s: Annotated[RadS, Gt(0)] = 1000.0
+    speed_rad_s: RadS = 0.0  # at t = 0, relative to the body
+    torque_lag_s: Annotated[Seconds, Ge(0)] = 0.0  # first-order motor lag; 0: torque follows at once
+    viscous_nm_s: NonNegative = 0.0  # drag torque per rad/s [N m s]
+    coulomb_nm: NonNegative = 0.0  # dry friction [N m]
+    motor_constant_nm_a: Positive = 0.05  # torque per ampere, for the telemetered current
+    speed_noise_rad_s: NonNegative = 0.0  # tachometer, 1 sigma per sample
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GyroConfig:
+    """Fiber-optic gyro triad. `preset` fills the noise terms; a term given beside it wins. See docs/plant.md."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
+
+    preset: Literal["ideal", "space", "tactical"] = "ideal"
+    arw_rad_sqrt_s: NonNegative | None = None  # angle random walk N [rad/sqrt(s)]
+    bias_instability_rad_s: NonNegative | None = None  # B [rad/s]
+    bias_time_s: Positive | None = None  # correlation time of the bias instability [s]
+    rrw_rad_s_sqrt_s: NonNegative | None = None  # rate random walk K [rad/s/sqrt(s)]
+    scale_factor: tuple[float, float, float] | None = None  # s_f per axis [1]; None: drawn from the preset's 1 sigma
+    misalignment_deg: Annotated[Vec3, Unit("deg")] = (0.0, 0.0, 0.0)  # small rotation of the triad, body axes
+    bias_rad_s: Vec3 = (0.0, 0.0, 0.0)  # constant turn-on bias, body axes [rad/s]
+    angle_lsb_rad: NonNegative | None = None  # quantisation of the integrated angle [rad]; 0: none
+    range_rad_s: Positive = 2.1  # saturates here [rad/s]
+    bandwidth_hz: NonNegative = 0.0  # first-order; 0: unlimited
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StarTrackerConfig:
+    """Star tracker: attitude with noise, at its own rate, late by its latency, blind above a rate limit."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
+
+    rate_hz: Annotated[float, Unit("Hz"), Gt(0)] = 10.0  # the tick rate must be a whole multiple
+    noise_arcsec: Annotated[Vec3, Unit("arcsec")] = (0.0, 0.0, 0.0)  # 1 sigma about body x, y, z per frame
+    latency_s: Annotated[Seconds, Ge(0)] = 0.0  # whole ticks; frames carry the SYNC count of the measurement
+    max_rate_deg_s: Annotated[float, Unit("deg/s"), Gt(0)] = 1e6  # no attitude above this body rate
+    exclusion: "ExclusionConfig | None" = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExclusionConfig:
+    """No attitude while the boresight is within `angle_deg` of a bright body fixed in inertial space."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
+
+    boresight_b: Vec3 = (0.0, 0.0, 1.0)
+    direction_i: Vec3 = (1.0, 0.0, 0.0)
+    angle_deg: Annotated[Deg, Gt(0), Le(180)] = 30.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ConstantTorque:
+    """External torque, constant in body axes."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
+
+    kind: Literal["constant"]
+    torque_nm: Annotated[Vec3, Unit("N m")]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SinusoidalTorque:
+    """External torque a_i sin(2 pi t / period + phase_i), body axes."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
+
+    kind: Literal["sinusoidal"]
+    amplitude_nm: Annotated[Vec3, Unit("N m")]
+    period_s: Annotated[Seconds, Gt(0)]
+    phase_deg: Annotated[Vec3, Unit("deg")] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GravityGradient:
+    """Gravity gradient of a circular orbit in the inertial x-y plane, starting on +x."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
+
+    kind: Literal["gravity_gradient"]
+    altitude_km: Annotated[float, Unit("km"), Gt(100)] = 500.0
+
+
+TorqueConfig = ConstantTorque | SinusoidalTorque | GravityGradient
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FaultConfig:
+    """One fault: what, where, from when, until when, how it comes on. The same form from YAML and from a command.
+
+    Which of the magnitudes a kind needs, and what they mean, is in plant_server/faults.py (`CATALOGUE`); any other
+    one given is an error. Faults of one unit compose in the order of their onset; none replaces another.
+    """
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
+
+    unit: str  # wheel.1 .. wheel.4, gyro.x .. gyro.z, gyro (all axes), star_tracker
+    kind: str  # see CATALOGUE
+    at_s: Annotated[Seconds, Ge(0)]
+    until_s: Annotated[Seconds, Gt(0)] | None = None  # None: to the end of the run
+    rise_s: Annotated[Seconds, Ge(0)] = 0.0  # 0: step; else a linear ramp from none to full
+    effectiveness: Annotated[float, Ge(0), Le(1)] | None = None  # wheel loss
+    torque_nm: NewtonMetre | None = None  # wheel bias, stuck_torque
+    rate_rad_s: RadS | None = None  # gyro constant, stuck, spikes; amplitude of periodic
+    slope_rad_s2: Annotated[float, Unit("rad/s^2")] | None = None  # gyro ramp
+    frequency_rad_s: Annotated[RadS, Gt(0)] | None = None  # gyro periodic
+    phase: Literal["onset", "absolute"] = "onset"  # periodic: sin(w (t - at_s)) or sin(w t)
+    factor: float | None = None  # gyro noise (x ARW), scale (1 + factor)
+    probability: Annotated[float, Ge(0), Le(1)] | None = None  # spikes, intermittent, dropout: per tick or frame
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlantConfig:
+    """Everything the plant needs beside the clock and the bus."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
+
+    step_s: Annotated[Seconds, Gt(0), Le(0.1)] = 0.01  # RK4 step; the tick must be a whole multiple
+    body: BodyConfig
+    wheels: tuple[WheelConfig, WheelConfig, WheelConfig, WheelConfig]
+    gyro: GyroConfig = field(default_factory=GyroConfig)
+    star_tracker: StarTrackerConfig = field(default_factory=StarTrackerConfig)
+    torques: tuple[Annotated[TorqueConfig, "kind"], ...] = ()
+    command_timeout_ticks: Annotated[int, Ge(1)] = 5  # a wheel without a command for this long goes to zero torque
+    command_max_age_ticks: Annotated[int, Ge(0)] = 2  # older commands are ignored
+    command_latency_ticks: Annotated[int, Ge(0), Le(10)] = 0  # a command acts this many ticks after it was sent
