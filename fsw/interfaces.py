@@ -6,7 +6,7 @@ An algorithm is deterministic: no clock, no random numbers, no input or output o
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from bus.units import Vec3, Vec4
 
@@ -45,6 +45,7 @@ class Detection(NamedTuple):
     wheel_alarm: tuple[bool, bool, bool, bool]
     fault_hat_b_rad_s: Vec3  # gyro fault estimate per axis
     request_safe: bool  # True: rate knowledge is no longer good enough to point
+    rate_good: bool = True  # False: the rate above is not fit even for damping (no gyro and nothing in its place)
 
 
 class Demand(NamedTuple):
@@ -60,6 +61,11 @@ class Estimator(Protocol):
 
 
 class Detector(Protocol):
+    @property
+    def internals(self) -> tuple[Any, ...]:
+        """A named tuple of numbers and tuples of numbers, fixed in shape, for telemetry."""
+        ...
+
     def reset(self) -> None: ...
     def step(self, sensors: Sensors, estimate: Estimate, tau_rw_cmd_nm: Vec4) -> Detection:
         """tau_rw_cmd_nm: wheel torques commanded over the tick that ends now (after limiting) [N m]."""
@@ -82,6 +88,11 @@ class Observer(Protocol):
 
 
 class Controller(Protocol):
+    @property
+    def internals(self) -> tuple[Any, ...]:
+        """A named tuple of numbers and tuples of numbers, fixed in shape, for telemetry."""
+        ...
+
     def reset(self) -> None: ...
     def step(self, dt_s: float, q_err: Vec4, omega_err_b_rad_s: Vec3, tau_fault_hat_b_nm: Vec3) -> Demand:
         """q_err: body with respect to target, q0 >= 0 already chosen by the caller (with hysteresis)."""

@@ -1,1 +1,15 @@
+"""Fault detection: which unit lies, how much, since when, and the rate to fly with."""
 
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from fsw.config import ModelConfig
+from fsw.fdi.none import NoDetector
+from fsw.interfaces import Detector
+
+# kind in the settings -> factory(config, model, tick_s)
+REGISTRY: dict[str, Callable[[Any, ModelConfig, float], Detector]] = {
+    "none": NoDetector,
+}

@@ -1,0 +1,42 @@
+"""Clocks: the monotonic clock behind absolute deadlines, and what the machine grants a real-time process."""
+
+from __future__ import annotations
+
+import gc
+import os
+import time
+from typing import Protocol
+
+PEER_TIMEOUT_S = 4.0  # wall time without a sign of life after which a peer is declared dead
+FIFO_PRIORITY = 50
+
+
+class MonotonicClock(Protocol):
+    """What pacing needs of a clock. Time is CLOCK_MONOTONIC nanoseconds."""
+
+    def now_ns(self) -> int: ...
+    def sleep_until(self, deadline_ns: int) -> None: ...
+
+
+class SystemClock:
+    """CLOCK_MONOTONIC of this machine."""
+
+    def now_ns(self) -> int:
+        """Nanoseconds since an arbitrary start."""
+        return time.monotonic_ns()
+
+    def sleep_until(self, deadline_ns: int) -> None:
+        """Return at or after the deadline. Sleeps and never spins, so that it also works in virtual time."""
+        while (left_ns := deadline_ns - time.monotonic_ns()) > 0:
+            time.sleep(left_ns * 1e-9)
+
+
+def claim_realtime() -> str:
+    """Ask for SCHED_FIFO and settle the garbage collector; say in words what was granted."""
+    gc.collect()
+    gc.freeze()
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(FIFO_PRIORITY))
+    except OSError as error:
+        return f"SCHED_OTHER ({error.strerror}; grant CAP_SYS_NICE or an rtprio limit for SCHED_FIFO)"
+    return f"SCHED_FIFO {FIFO_PRIORITY}"

@@ -1,0 +1,191 @@
+"""A node on a CAN interface of this kernel, through a raw AF_CAN socket. Options: linux/can/raw.h."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import socket
+import struct
+from collections.abc import Sequence
+
+from bus.can_link import check_link
+from bus.errors import BusAddressError, BusInUseError, BusLostError
+from bus.frames import FRAME_SIZE, Filter, check_batch, count_error_frames, drop_malformed
+from bus.hub_client import wait_readable
+from bus.transport import DEFAULT_BITRATE_BPS, DEFAULT_QUEUE_FRAMES, TransportCounters
+
+# asm-generic/socket.h, linux/can/raw.h; Python names only some of them
+SO_RCVBUFFORCE = 33
+SO_TIMESTAMPNS = 35
+SO_RXQ_OVFL = 40
+SOL_CAN_RAW = 101
+CAN_RAW_FILTER, CAN_RAW_ERR_FILTER, CAN_RAW_RECV_OWN_MSGS, CAN_RAW_FD_FRAMES = 1, 2, 4, 5
+CAN_ERR_MASK = 0x1FFFFFFF
+FD_FRAME_SIZE = 72
+SKB_BYTES = 768  # receive buffer that one queued frame holds
+ANCILLARY_SPACE = socket.CMSG_SPACE(16) + socket.CMSG_SPACE(4)
+
+_TIMESPEC = struct.Struct("@ll")
+_U32 = struct.Struct("=I")
+_BUSY = (errno.ENOBUFS, errno.EAGAIN)
+
+
+class SocketCanTransport:
+    """One raw CAN socket. `send()` counts what the interface will not take; it raises only when the interface is gone.
+
+    queue_frames : what the socket really got; without CAP_NET_ADMIN the kernel caps it at net.core.rmem_max
+    Raises BusAddressError (not there, down, not CAN, another bit rate), BusInUseError (a node of this name is there).
+    """
+
+    def __init__(
+        self,
+        interface: str,
+        node: str,
+        filters: Sequence[Filter] | None = None,
+        receive_own: bool = False,
+        queue_frames: int = DEFAULT_QUEUE_FRAMES,
+        bitrate_bps: int = DEFAULT_BITRATE_BPS,
+    ) -> None:
+        self.address = f"socketcan:{interface}"
+        self.interface = interface
+        self.node = node
+        self.counters = TransportCounters()
+        self.kernel_stamps_ns: list[int] = []
+        self.departed: list[str] = []  # a CAN bus does not tell
+        check_link(interface, bitrate_bps)
+        self._claim = claim_name(self.address, node)
+        self._sock = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+        try:
+            self._sock.setblocking(False)
+            self.queue_frames = size_queue(self._sock, queue_frames)
+            self._sock.setsockopt(socket.SOL_SOCKET, SO_RXQ_OVFL, 1)
+            self._sock.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
+            self._sock.setsockopt(SOL_CAN_RAW, CAN_RAW_ERR_FILTER, CAN_ERR_MASK)
+            self._sock.setsockopt(SOL_CAN_RAW, CAN_RAW_RECV_OWN_MSGS, int(receive_own))
+            with contextlib.suppress(OSError):  # kernels before 3.6 have no CAN FD to count
+                self._sock.setsockopt(SOL_CAN_RAW, CAN_RAW_FD_FRAMES, 1)
+            self.set_filters(filters)
+            self._sock.bind((interface,))
+        except OSError as error:
+            self.close()
+            raise BusAddressError(f"{self.address} cannot be opened: {error.strerror}") from None
+        self._fd = self._sock.fileno()
+
+    def send(self, batch: bytes) -> None:
+        """Put the frames on the bus, in order, one system call each: that is how CAN_RAW takes them."""
+        check_batch(batch)
+        counters = self.counters
+        sound = drop_malformed(batch)
+        if sound is not batch:
+            counters.malformed += (len(batch) - len(sound)) // FRAME_SIZE
+        send = self._sock.send
+        for at in range(0, len(sound), FRAME_SIZE):
+            try:
+                send(sound[at : at + FRAME_SIZE])
+            except OSError as error:
+                if error.errno not in _BUSY:
+                    raise self._lost(error) from None
+                counters.tx_failed += 1
+            else:
+                counters.tx += 1
+
+    def recv(self, timeout_s: float | None = None) -> bytes:
+        """Return all frames waiting, at least one; b"" after `timeout_s` [s]. CAN FD frames are counted and left out."""
+        frames: list[bytes] = []
+        while not frames:
+            if timeout_s != 0.0 and not self._wait(timeout_s):
+                return b""
+            frames = self._collect()
+            if not frames and timeout_s is not None:  # nothing, or CAN FD frames only
+                return b""
+        batch = b"".join(frames)
+        counters = self.counters
+        counters.rx += len(frames)
+        counters.error_frames += count_error_frames(batch)
+        return batch
+
+    def set_filters(self, filters: Sequence[Filter] | None) -> None:
+        """Receive only what passes one of the (id, mask) pairs from now on; None: everything."""
+        pairs = [(0, 0)] if filters is None else filters
+        packed = b"".join(struct.pack("=II", can_id, mask) for can_id, mask in pairs)
+        self._sock.setsockopt(SOL_CAN_RAW, CAN_RAW_FILTER, packed)
+
+    def fileno(self) -> int:
+        """Return the socket's descriptor."""
+        return self._sock.fileno()
+
+    def close(self) -> None:
+        """Leave the bus."""
+        self._sock.close()
+        self._claim.close()
+
+    def _wait(self, timeout_s: float | None) -> bool:
+        if self._sock.fileno() < 0:
+            raise BusLostError(f"{self.address}: {self.node} has left this bus")
+        return wait_readable(self._fd, 3600.0 if timeout_s is None else timeout_s) or timeout_s is None
+
+    def _collect(self) -> list[bytes]:
+        """Return the frames that wait in the socket, and note their stamps and the drop count."""
+        frames: list[bytes] = []
+        stamps: list[int] = []
+        recvmsg = self._sock.recvmsg
+        while True:
+            try:
+                frame, ancillary, _, _ = recvmsg(FD_FRAME_SIZE, ANCILLARY_SPACE)
+            except BlockingIOError:
+                break
+            except OSError as error:
+                if frames:
+                    break  # the next call meets it again, or finds the interface back
+                raise self._lost(error) from None
+            stamp_ns = 0
+            for _, kind, value in ancillary:
+                if kind == SO_TIMESTAMPNS:
+                    seconds, nanoseconds = _TIMESPEC.unpack(value)
+                    stamp_ns = seconds * 1_000_000_000 + nanoseconds
+                elif kind == SO_RXQ_OVFL:
+                    self.counters.dropped = _U32.unpack(value)[0]
+            if len(frame) == FRAME_SIZE:
+                frames.append(frame)
+                stamps.append(stamp_ns)
+            else:
+                self.counters.fd_frames += 1
+        self.kernel_stamps_ns = stamps
+        return frames
+
+    def _lost(self, error: OSError) -> BusLostError:
+        if self._sock.fileno() < 0:
+            return BusLostError(f"{self.address}: {self.node} has left this bus")
+        reasons = {
+            errno.ENETDOWN: "the interface went down",
+            errno.ENODEV: "the interface was taken away",
+            errno.ENXIO: "the interface was taken away",
+        }
+        return BusLostError(f"{self.address}: {reasons.get(error.errno or 0, error.strerror)} under {self.node}")
+
+
+def claim_name(address: str, node: str) -> socket.socket:
+    """Return a socket that holds this node's name on this interface until it is closed or its process ends.
+
+    The name is an abstract AF_UNIX address: like the interface, it belongs to the network namespace, and nothing is
+    left behind. Raises BusInUseError when another process holds it.
+    """
+    claim = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    try:
+        claim.bind(f"\0hilsat/{address}/{node}")
+    except OSError:
+        claim.close()
+        raise BusInUseError(
+            f"{address} already has a {node}: another bench runs on it; end that run, or use another interface"
+        ) from None
+    return claim
+
+
+def size_queue(sock: socket.socket, frames: int) -> int:
+    """Give the socket a receive buffer for so many frames, and return for how many it really has one."""
+    wanted = frames * SKB_BYTES // 2  # the kernel doubles it
+    try:
+        sock.setsockopt(socket.SOL_SOCKET, SO_RCVBUFFORCE, wanted)
+    except OSError:
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, wanted)
+    return sock.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // SKB_BYTES

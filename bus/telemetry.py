@@ -1,0 +1,293 @@
+"""Telemetry of a running process: one pack call and one write a tick, to the recorder process or to one in memory.
+
+A tick's records are complete MCAP Message records (MCAP 1.0, opcode 0x05) from the start, so that nobody downstream
+takes them apart again. What a process says is a stream of pieces, each behind one HEADER:
+
+    ANNOUNCE  the channel table as JSON, first
+    TICK      the Message records of one tick
+    JSON      topic name, zero byte, one JSON object; belongs to the tick that is written next
+    CLOSE     a JSON object: why the stream ends, and how many ticks found no room
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import functools
+import json
+import os
+import select
+import struct
+from collections.abc import Callable, Sequence
+from typing import Any, Final, Protocol
+
+from bus.cdr import ENCAPSULATION, FRAMES_SCHEMA, FRAMES_TEXT, Field, Kind, Topic
+from bus.errors import ConfigError, RecordError
+from bus.events import EVENTS, FAULTS, TF, format_event, format_fault, format_transform
+from bus.units import Vec3, Vec4
+
+__all__ = [
+    "ANNOUNCE", "CLOSE", "HEADER", "JSON", "MAGIC", "TICK", "Field", "Kind", "Link", "MemoryLink", "TelemetryLink",
+    "TickPacker", "Topic", "announce_topics", "pack_frames",
+]  # fmt: skip
+
+HEADER: Final = struct.Struct("<HBBIqq")  # MAGIC, kind, source, bytes that follow, tick, t_ns
+MAGIC: Final = 0x4D54
+ANNOUNCE, TICK, JSON, CLOSE = 1, 2, 3, 4
+
+MESSAGE: Final = 0x05  # MCAP opcode
+PREFIX: Final = struct.Struct("<BQH")  # opcode, length of what follows, channel
+HEAD: Final = struct.Struct("<IQQ4siI")  # sequence, log_time, publish_time, CDR encapsulation, sec, nanosec
+MESSAGE_FIXED: Final = 22  # channel to publish_time
+FRAMES: Final = struct.Struct("<BQHIQQ4siII")
+
+PIPE_BYTES: Final = 1 << 20  # the largest that an unprivileged process may ask for; about 8 s of a 100 Hz run
+STALL_S: Final = 5.0  # how long a blocking writer waits for the recorder
+
+
+class TickPacker:
+    """Packs one tick of several topics. Channels are numbered from `first_channel` in topic order.
+
+    pack(seq, t_ns, *values) -> bytes: the concatenated Message records of all topics; values flat in topic order,
+    t_ns both log and publish time. Raises struct.error for a value of the wrong kind, TypeError for a wrong number.
+    """
+
+    __slots__ = ("channels", "flat_size", "pack", "topics")
+
+    def __init__(self, topics: Sequence[Topic], first_channel: int) -> None:
+        empty = [topic.name for topic in topics if not topic.fields]
+        if not topics or empty:
+            raise ConfigError(f"telemetry packer: {', '.join(empty) or 'it'} has nothing to pack")
+        self.topics = tuple(topics)
+        self.channels = tuple(range(first_channel, first_channel + len(topics)))
+        self.flat_size = sum(topic.flat_size for topic in topics)
+        self.pack: Callable[..., bytes] = _compile_pack(self.topics, self.channels)
+
+
+def _compile_pack(topics: Sequence[Topic], channels: Sequence[int]) -> Callable[..., bytes]:
+    """The pack function of these topics, written out with one parameter a value.
+
+    Splicing the heads into a tuple of values at run time costs a fifth more a tick (docs/decisions/0001).
+    """
+    layout = "<"
+    arguments: list[str] = []
+    values: list[str] = []
+    constants: dict[str, bytes] = {}
+    for topic, channel in zip(topics, channels, strict=True):
+        layout += f"{PREFIX.size}s{HEAD.size}s{topic.struct_format}"
+        constants[f"prefix_{channel}"] = PREFIX.pack(MESSAGE, MESSAGE_FIXED + topic.body_size, channel)
+        names = [f"v{len(values) + index}" for index in range(topic.flat_size)]
+        values += names
+        arguments += [f"prefix_{channel}", "head", *names]
+    source = (
+        f"def pack(seq, t_ns, {', '.join(values)}):\n"
+        "    head = pack_head(seq, t_ns, t_ns, encapsulation, t_ns // 1000000000, t_ns % 1000000000)\n"
+        f"    return pack_tick({', '.join(arguments)})\n"
+    )
+    scope: dict[str, Any] = {
+        "pack_head": HEAD.pack, "encapsulation": ENCAPSULATION, "pack_tick": struct.Struct(layout).pack, **constants,
+    }  # fmt: skip
+    exec(source, scope)
+    pack: Callable[..., bytes] = scope["pack"]
+    return pack
+
+
+def pack_frames(channel: int, seq: int, t_ns: int, batch: bytes) -> bytes:
+    """One Message record with all frames of a tick, lossless and in bus order, for /can/<bus>."""
+    size = len(batch)
+    sec = t_ns // 1_000_000_000
+    return (
+        FRAMES.pack(
+            MESSAGE, size + 38, channel, seq, t_ns, t_ns, ENCAPSULATION, sec, t_ns - sec * 1_000_000_000, size
+        )
+        + batch
+    )
+
+
+def announce_topics(packers: Sequence[TickPacker] = (), frames: dict[int, str] | None = None) -> bytes:
+    """The channel table of one process as JSON: its packers' topics, and the bus name behind each frame channel."""
+    table = [
+        {
+            "channel": channel,
+            "topic": f"/can/{bus}",
+            "schema_name": FRAMES_SCHEMA,
+            "schema": FRAMES_TEXT,
+            "deterministic": True,
+            "units": {},
+        }
+        for channel, bus in (frames or {}).items()
+    ]
+    for packer in packers:
+        table += [
+            {
+                "channel": channel,
+                "topic": topic.name,
+                "schema_name": topic.message_type,
+                "schema": topic.ros2msg(),
+                "deterministic": topic.deterministic,
+                "units": {field.name: field.unit for field in topic.fields if field.unit},
+            }
+            for topic, channel in zip(packer.topics, packer.channels, strict=True)
+        ]
+    return json.dumps(table).encode()
+
+
+class Link:
+    """Where a process puts its telemetry. `dropped` counts the ticks that found no room."""
+
+    dropped: int = 0
+
+    def announce(self, topics_json: bytes) -> None:
+        """State the channel table, once, before the first tick; see announce_topics."""
+        raise NotImplementedError
+
+    def write_tick(self, tick: int, t_ns: int, records: bytes) -> None:
+        """Hand over the Message records of one tick. Ticks rise."""
+        raise NotImplementedError
+
+    def write_json(self, topic: str, t_ns: int, payload: bytes) -> None:
+        """Hand over one JSON object for a topic of bus.events; it is filed behind the tick written next."""
+        raise NotImplementedError
+
+    def close(self, reason: str = "") -> None:
+        """End the stream and say why. Harmless when repeated."""
+        raise NotImplementedError
+
+    def event(self, t_ns: int, level: int | str, name: str, message: str) -> None:
+        """Log a line on /events; level is debug, info, warning, error or fatal (1..5)."""
+        self.write_json(EVENTS.name, t_ns, format_event(t_ns, level, name, message))
+
+    def fault(
+        self, t_ns: int, tick: int, unit: str, fault: str, phase: str, value: float = 0.0, message: str = ""
+    ) -> None:
+        """Log on /faults that a fault of `unit` took effect at `tick`; phase is onset, end or refused."""
+        self.write_json(FAULTS.name, t_ns, format_fault(t_ns, tick, unit, fault, phase, value, message))
+
+    def transform(self, t_ns: int, parent: str, child: str, translation_m: Vec3, q: Vec4) -> None:
+        """Log on /tf the pose of `child` in `parent`; q scalar first, v_parent = R(q) v_child."""
+        self.write_json(TF.name, t_ns, format_transform(t_ns, parent, child, translation_m, q))
+
+
+class TelemetryLink(Link):
+    """Telemetry through an inherited pipe to the recorder process.
+
+    blocking : lock-step and in-process runs wait for room (5 s at most); a real-time process drops the tick instead
+    fd None  : nothing is recorded and every call does nothing
+    Raises RecordError once the recorder is gone, or takes nothing for 5 s.
+    """
+
+    def __init__(self, fd: int | None, source: int, blocking: bool) -> None:
+        self._fd = fd
+        self._source = source
+        self._blocking = blocking
+        self._tail = b""  # the rest of a piece that the pipe took only in part
+        self._last_tick = 0
+        self.dropped = 0
+        if fd is not None:
+            os.set_blocking(fd, False)
+
+    def announce(self, topics_json: bytes) -> None:
+        self._send(HEADER.pack(MAGIC, ANNOUNCE, self._source, len(topics_json), 0, 0) + topics_json, wait=True)
+
+    def write_tick(self, tick: int, t_ns: int, records: bytes) -> None:
+        self._last_tick = tick
+        self._send(HEADER.pack(MAGIC, TICK, self._source, len(records), tick, t_ns) + records, self._blocking)
+
+    def write_json(self, topic: str, t_ns: int, payload: bytes) -> None:
+        text = topic.encode() + b"\0" + payload
+        self._send(HEADER.pack(MAGIC, JSON, self._source, len(text), self._last_tick, t_ns) + text, self._blocking)
+
+    def close(self, reason: str = "") -> None:
+        if self._fd is None:
+            return
+        text = json.dumps({"reason": reason, "dropped": self.dropped}).encode()
+        # A recorder that is gone has been reported by the tick that met it, and is by whoever started it.
+        with contextlib.suppress(RecordError):
+            self._send(HEADER.pack(MAGIC, CLOSE, self._source, len(text), self._last_tick, 0) + text, wait=True)
+        os.close(self._fd)
+        self._fd = None
+
+    def _send(self, piece: bytes, wait: bool) -> None:
+        if self._fd is None:
+            return
+        try:
+            if self._tail and not self._drain(self._fd, wait):
+                self.dropped += 1
+                return
+            try:
+                sent = os.write(self._fd, piece)
+            except BlockingIOError:
+                sent = 0
+            if sent == len(piece):
+                return
+            if sent == 0 and not wait:
+                self.dropped += 1
+                return
+            self._tail = piece[sent:]  # a piece that has begun must end, or the stream is garbage
+            self._drain(self._fd, wait)
+        except BrokenPipeError:
+            raise RecordError(
+                f"telemetry of tick {self._last_tick}: the recorder died (its end of the pipe is closed); "
+                "what it wrote stays readable, see `hilsat recover`"
+            ) from None
+
+    def _drain(self, fd: int, wait: bool) -> bool:
+        """Send what is left of the last piece, waiting for room where that is allowed; True when nothing is left."""
+        poller = select.poll()
+        poller.register(fd, select.POLLOUT)
+        while self._tail:
+            if not poller.poll(int(STALL_S * 1000) if wait else 0):
+                if not wait:
+                    return False
+                raise RecordError(
+                    f"telemetry of tick {self._last_tick}: the recorder took nothing for {STALL_S:g} s; "
+                    "is its disk stuck, or the process stopped?"
+                )
+            try:
+                self._tail = self._tail[os.write(fd, self._tail) :]
+            except BlockingIOError:
+                if not wait:
+                    return False
+        return True
+
+
+class Sink(Protocol):
+    """What a recorder in this process takes."""
+
+    def announce(self, source: int, topics_json: bytes) -> None: ...
+    def write_tick(self, source: int, tick: int, t_ns: int, records: bytes) -> None: ...
+    def write_json(self, source: int, topic: str, t_ns: int, payload: bytes) -> None: ...
+    def end_source(self, source: int, reason: str, dropped: int) -> None: ...
+
+
+class MemoryLink(Link):
+    """Telemetry straight to a recorder in the same process. Never drops."""
+
+    def __init__(self, sink: Sink, source: int) -> None:
+        self._sink = sink
+        self._source = source
+        self._open = True
+        # A bound partial instead of a method: one call less in every tick.
+        self.write_tick = functools.partial(sink.write_tick, source)  # type: ignore[method-assign]
+
+    def announce(self, topics_json: bytes) -> None:
+        self._sink.announce(self._source, topics_json)
+
+    def write_json(self, topic: str, t_ns: int, payload: bytes) -> None:
+        self._sink.write_json(self._source, topic, t_ns, payload)
+
+    def close(self, reason: str = "") -> None:
+        if self._open:
+            self._open = False
+            self._sink.end_source(self._source, reason, self.dropped)
+
+
+def widen_pipe(fd: int) -> int:
+    """Bytes that the pipe behind `fd` now holds: as many as this machine lets an unprivileged process have."""
+    size = PIPE_BYTES
+    while size > select.PIPE_BUF:
+        try:
+            return fcntl.fcntl(fd, fcntl.F_SETPIPE_SZ, size)
+        except PermissionError:
+            size //= 2
+    return fcntl.fcntl(fd, fcntl.F_GETPIPE_SZ)

@@ -1,0 +1,66 @@
+"""Attitude straight from the star tracker, carried forward with the gyro rate: for ideal sensors, no filtering."""
+
+from __future__ import annotations
+
+import math
+
+from bus.units import Vec3, Vec4
+from fsw.config import DirectConfig, ModelConfig
+from fsw.interfaces import Estimate, Sensors
+
+ZERO: Vec3 = (0.0, 0.0, 0.0)
+IDENTITY: Vec4 = (1.0, 0.0, 0.0, 0.0)
+
+
+def turn_attitude(q_ib: Vec4, omega_bi_b_rad_s: Vec3, dt_s: float) -> Vec4:
+    """Return q_ib after dt_s of constant body rate: q_ib * exp(omega dt / 2), scalar first, unit length."""
+    wx, wy, wz = omega_bi_b_rad_s
+    half_s = 0.5 * dt_s
+    rate = math.sqrt(wx * wx + wy * wy + wz * wz)
+    half_angle = rate * half_s
+    # sin(a)/a = 1 - a^2/6 to the last bit where a < 1e-4: a^4/120 is below 1e-18 there.
+    ratio = math.sin(half_angle) / rate if half_angle > 1e-4 else half_s * (1.0 - half_angle * half_angle / 6.0)
+    r0 = math.cos(half_angle)
+    rx, ry, rz = wx * ratio, wy * ratio, wz * ratio
+    q0, qx, qy, qz = q_ib
+    p0 = q0 * r0 - qx * rx - qy * ry - qz * rz
+    px = q0 * rx + qx * r0 + qy * rz - qz * ry
+    py = q0 * ry + qy * r0 + qz * rx - qx * rz
+    pz = q0 * rz + qz * r0 + qx * ry - qy * rx
+    norm = math.sqrt(p0 * p0 + px * px + py * py + pz * pz)
+    return (p0 / norm, px / norm, py / norm, pz / norm)
+
+
+class Direct:
+    """Estimator without a filter.
+
+    On a tick with a new star-tracker attitude the estimate is that attitude, carried over its age with the present
+    gyro rate; of age zero it is the measurement, digit for digit. On other ticks the last estimate is carried over the
+    tick with the gyro rate, which is the mean over it. No gyro bias is estimated.
+    """
+
+    __slots__ = ("_known", "_q", "_t_s")
+
+    def __init__(self, config: DirectConfig, model: ModelConfig) -> None:
+        """`config` and `model` carry nothing that this estimator needs."""
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the attitude; not valid again before the next star-tracker attitude."""
+        self._known = False
+        self._q = IDENTITY
+        self._t_s = 0.0
+
+    def step(self, sensors: Sensors) -> Estimate:
+        """Return attitude and rate [rad/s]; valid once an attitude was seen, while star tracker and gyro are good."""
+        omega = sensors.omega_meas_b_rad_s
+        if sensors.star_new:
+            self._known = True
+            age_s = sensors.star_age_s
+            self._q = turn_attitude(sensors.q_ib_meas, omega, age_s) if age_s > 0.0 else sensors.q_ib_meas
+        elif self._known:
+            self._q = turn_attitude(self._q, omega, sensors.t_s - self._t_s)
+        self._t_s = sensors.t_s
+        valid_x, valid_y, valid_z = sensors.gyro_valid
+        valid = self._known and sensors.star_valid and valid_x and valid_y and valid_z
+        return Estimate(self._q, omega, ZERO, valid)

@@ -1,0 +1,153 @@
+"""The cyclic executive: releases one cycle per period on absolute deadlines and keeps the books on lateness.
+
+| requirement | where | how it is checked |
+|---|---|---|
+| a cycle is released at epoch + k * period, never earlier | `Executive.wait` | fake clock |
+| lateness does not accumulate | absolute deadlines | fake clock |
+| a missed deadline is counted and handled by one stated policy | `Executive._slip` | one test a policy |
+| endless overrun ends the run by name | `DeadlineError` | fake clock |
+| a stuck cycle is noticed from outside | `Watchdog` | fake clock |
+
+Names follow nasa/fprime's ActiveRateGroup (max cycle time, cycle slips) and cFS SCH (slots processed, skipped).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from bus.clock import MonotonicClock, SystemClock
+from bus.errors import DeadlineError
+
+DEGRADED_CYCLES = 20  # cycles on time before shed rate groups come back
+
+
+@dataclass(slots=True)
+class ExecutiveCounters:
+    """What the executive did so far."""
+
+    cycles: int = 0  # slots processed
+    slips: int = 0  # cycles that missed their deadline by a period or more
+    consecutive_slips: int = 0
+    skipped: int = 0  # ticks not run at all
+    caught_up: int = 0  # ticks run late, back to back
+    shed: int = 0  # cycles run without the groups that are not essential
+    last_cycle_ns: int = 0
+    max_cycle_ns: int = 0
+    last_lateness_ns: int = 0
+    max_lateness_ns: int = 0
+
+
+class Executive:
+    """Releases cycles at a fixed rate and applies one overrun policy.
+
+    skip      run the next tick that is not yet due; the missed ones are counted and lost
+    catch_up  run every missed tick at once, back to back
+    degrade   as skip, and leave out what is not essential until the cycle has been on time for a while
+    safe      as skip, and ask the mode manager for safe mode
+    """
+
+    def __init__(
+        self, period_ns: int, policy: str, max_consecutive_slips: int, clock: MonotonicClock | None = None
+    ) -> None:
+        self.period_ns = period_ns
+        self.policy = policy
+        self.max_consecutive_slips = max_consecutive_slips
+        self.clock: MonotonicClock = clock or SystemClock()
+        self.counters = ExecutiveCounters()
+        self.safe_requested = False
+        self._epoch_ns = 0
+        self._next_tick = 0
+        self._released_ns = 0
+        self._degraded_left = 0
+
+    @property
+    def degraded(self) -> bool:
+        """True while the groups that are not essential are shed."""
+        return self._degraded_left > 0
+
+    def start(self, epoch_ns: int) -> None:
+        """Tick k is due at epoch_ns + k * period_ns from now on."""
+        self._epoch_ns = epoch_ns
+        self._next_tick = 0
+
+    def deadline_ns(self) -> int:
+        """When the next tick is due."""
+        return self._epoch_ns + self._next_tick * self.period_ns
+
+    def wait(self, sleep_until: Callable[[int], None] | None = None) -> int:
+        """Sleep to the next release and return its tick.
+
+        sleep_until : replaces the clock's sleep, for callers that serve the bus while they wait.
+        Raises DeadlineError after more than `max_consecutive_slips` slips in a row.
+        """
+        deadline_ns = self.deadline_ns()
+        if self.clock.now_ns() < deadline_ns:
+            (sleep_until or self.clock.sleep_until)(deadline_ns)
+        now_ns = self.clock.now_ns()
+        lateness_ns = now_ns - deadline_ns
+        if lateness_ns >= self.period_ns:
+            self._slip(lateness_ns)
+        else:
+            self.counters.consecutive_slips = 0
+            self._degraded_left = max(0, self._degraded_left - 1)
+        self.counters.last_lateness_ns = lateness_ns
+        self.counters.max_lateness_ns = max(self.counters.max_lateness_ns, lateness_ns)
+        tick = self._next_tick
+        self._next_tick += 1
+        self._released_ns = now_ns
+        return tick
+
+    def done(self) -> None:
+        """The cycle that `wait` released is finished: take its time."""
+        counters = self.counters
+        cycle_ns = self.clock.now_ns() - self._released_ns
+        counters.cycles += 1
+        counters.last_cycle_ns = cycle_ns
+        if cycle_ns > counters.max_cycle_ns:
+            counters.max_cycle_ns = cycle_ns
+        if self._degraded_left:
+            counters.shed += 1
+
+    def _slip(self, lateness_ns: int) -> None:
+        counters = self.counters
+        counters.slips += 1
+        counters.consecutive_slips += 1
+        if counters.consecutive_slips > self.max_consecutive_slips:
+            raise DeadlineError(
+                f"tick {self._next_tick}: {counters.consecutive_slips} deadlines missed in a row, the last by "
+                f"{lateness_ns / 1e6:.1f} ms at a period of {self.period_ns / 1e6:.1f} ms; the limit is "
+                f"{self.max_consecutive_slips} (executive.max_consecutive_slips): lower the rate or free the machine"
+            )
+        if self.policy == "catch_up":
+            counters.caught_up += 1
+            return
+        missed = lateness_ns // self.period_ns
+        counters.skipped += missed
+        self._next_tick += missed
+        if self.policy == "degrade":
+            self._degraded_left = DEGRADED_CYCLES
+        elif self.policy == "safe":
+            self.safe_requested = True
+
+
+class Watchdog:
+    """Bites when it has not been fed for `limit_ns`. Fed by the loop that does the real work, and by nothing else."""
+
+    def __init__(self, limit_ns: int, clock: MonotonicClock | None = None) -> None:
+        self.limit_ns = limit_ns
+        self._clock: MonotonicClock = clock or SystemClock()
+        self._fed_ns = self._clock.now_ns()
+
+    def feed(self) -> None:
+        """The loop is alive."""
+        self._fed_ns = self._clock.now_ns()
+
+    def silent_ns(self) -> int:
+        """How long the loop has not fed it."""
+        return self._clock.now_ns() - self._fed_ns
+
+    @property
+    def bitten(self) -> bool:
+        """True once the limit has passed without a feed."""
+        return self.silent_ns() > self.limit_ns

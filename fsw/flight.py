@@ -1,0 +1,130 @@
+"""One cycle of the flight software, in order: receive, validate, estimate, detect, observe, guide, control, allocate,
+send, publish.
+"""
+
+from __future__ import annotations
+
+import math
+from struct import Struct
+
+from bus.telemetry import TickPacker
+from bus.units import Vec3, Vec4
+from fsw import allocators, controllers, estimation, fdi, observers
+from fsw.config import FswConfig
+from fsw.executive import ExecutiveCounters
+from fsw.guidance import Guidance
+from fsw.inputs import Inputs
+from fsw.interfaces import Demand, Detection, Estimate, Sensors
+from fsw.modes import Mode, ModeManager
+from fsw.outputs import Outputs
+from fsw.schedule import RateGroup, flight_schedule
+from fsw.telemetry import FIRST_CHANNEL, flatten, make_topics
+from fsw.wheel_axes import combine_wheels
+
+FRAME = Struct("=IB3x8s")
+NO_TORQUE: Vec4 = (0.0, 0.0, 0.0, 0.0)
+ZERO: Vec3 = (0.0, 0.0, 0.0)
+DEG_PER_RAD = 180.0 / math.pi
+HEARTBEAT_S = 1.0
+
+
+class Flight:
+    """The flight software between its bus and its telemetry. Holds no socket and reads no clock."""
+
+    def __init__(self, config: FswConfig, tick_s: float, run_hash: int) -> None:
+        model = config.model
+        self.inputs = Inputs(config, tick_s)
+        self.outputs = Outputs(run_hash, max(1, round(HEARTBEAT_S / tick_s)))
+        self.modes = ModeManager(config.modes)
+        self.executive = ExecutiveCounters()
+        self.estimator = estimation.REGISTRY[config.estimator.kind](config.estimator, model, tick_s)
+        self.detector = fdi.REGISTRY[config.detector.kind](config.detector, model, tick_s)
+        self.observer = observers.REGISTRY[config.observer.kind](config.observer, model)
+        self.controller = controllers.REGISTRY[config.controller.kind](config.controller, model)
+        self.allocator = allocators.REGISTRY[config.allocator.kind](config.allocator, model)
+        self.guidance = Guidance(config.target_q)
+        self._control: RateGroup = flight_schedule(config.executive.control_divider).group("control")
+        self._control_s = tick_s * config.executive.control_divider
+        self._damping_nm_s = config.modes.damping_nm_s
+        self._wheel_momentum = model.wheel_momentum
+        self.topics = make_topics(self.controller.internals, self.detector.internals)
+        self._packer = TickPacker(self.topics, FIRST_CHANNEL)
+        self.safe_requested = False
+        self.dropped_ticks = 0
+        self._reset_outputs()
+
+    def _reset_outputs(self) -> None:
+        self.tau_rw_cmd_nm: Vec4 = NO_TORQUE
+        self.tau_cmd_b_nm: Vec3 = ZERO
+        self.tau_fault_hat_b_nm: Vec3 = ZERO
+        self.q_err: Vec4 = (1.0, 0.0, 0.0, 0.0)
+        self._mode_of_control = Mode.STANDBY
+
+    def cycle(self, tick: int, batch: bytes) -> bytes:
+        """Run the cycle of this tick on the frames received since the last; return the frames to send."""
+        sensors = self.inputs.receive(tick, list(FRAME.iter_unpack(batch)))
+        estimate = self.estimator.step(sensors)
+        self.detection = detection = self.detector.step(sensors, estimate, self.tau_rw_cmd_nm)
+        self.estimate = estimate = detection.estimate
+        mode = self._decide(sensors, estimate, detection)
+        if detection.rate_step_b_rad_s != ZERO:
+            self.observer.shift_rate(detection.rate_step_b_rad_s)
+        if self._control.due(tick):
+            self._command(mode, sensors, estimate)
+        counters = self.executive
+        return self.outputs.commands(
+            tick, self.inputs.plant_tick & 0xFF, self.tau_rw_cmd_nm, mode is not Mode.STANDBY, mode, counters.slips
+        )
+
+    def _decide(self, sensors: Sensors, estimate: Estimate, detection: Detection) -> Mode:
+        attitude_good = estimate.valid and sensors.star_valid
+        safe = self.safe_requested or detection.request_safe
+        return self.modes.step(attitude_good, detection.rate_good, estimate.omega_bi_b_rad_s, safe)
+
+    def _command(self, mode: Mode, sensors: Sensors, estimate: Estimate) -> None:
+        """Observe, guide, control, allocate: everything that runs at the control rate."""
+        if mode is not self._mode_of_control:
+            self._mode_of_control = mode
+            self.observer.reset()
+            self.controller.reset()
+        rate = estimate.omega_bi_b_rad_s
+        if mode is Mode.POINT:
+            self.tau_fault_hat_b_nm = self.observer.step(
+                self._control_s, rate, self.tau_cmd_b_nm, self._wheel_momentum_b(sensors)
+            )
+            self.q_err = self.guidance.find_error(estimate.q_ib)
+            demand = self.controller.step(self._control_s, self.q_err, rate, self.tau_fault_hat_b_nm)
+        else:
+            self.tau_fault_hat_b_nm = ZERO
+            self.q_err = self.guidance.find_error(estimate.q_ib)
+            demand = self._damp(mode, rate)
+        if demand.tau_rw_nm is None:
+            self.tau_rw_cmd_nm = self.allocator.allocate(demand.tau_cmd_b_nm)
+        else:
+            self.tau_rw_cmd_nm = self.allocator.limit(demand.tau_rw_nm)
+        self.tau_cmd_b_nm = combine_wheels(self.tau_rw_cmd_nm)
+
+    def _damp(self, mode: Mode, omega_bi_b_rad_s: Vec3) -> Demand:
+        if mode is Mode.STANDBY or not self.detection.rate_good:
+            return Demand(ZERO, NO_TORQUE)
+        k = -self._damping_nm_s
+        x, y, z = omega_bi_b_rad_s
+        return Demand((k * x, k * y, k * z), None)
+
+    def _wheel_momentum_b(self, sensors: Sensors) -> Vec3:
+        return combine_wheels(sensors.h_rw_nms) if self._wheel_momentum else ZERO
+
+    def publish(self, tick: int, t_ns: int) -> bytes:
+        """The telemetry records of this cycle."""
+        estimate, detection, counters, refused = self.estimate, self.detection, self.executive, self.inputs.counters
+        q_err = self.q_err
+        error_deg = 2.0 * math.acos(min(1.0, abs(q_err[0]))) * DEG_PER_RAD
+        return self._packer.pack(
+            tick, t_ns, *estimate.q_ib, *estimate.omega_bi_b_rad_s, *estimate.bias_b_rad_s, *q_err, error_deg,
+            *self.tau_cmd_b_nm, *self.tau_rw_cmd_nm, *self.tau_fault_hat_b_nm,
+            *detection.fault_hat_b_rad_s, *detection.gyro_state, *detection.wheel_alarm,
+            tick, self.modes.mode, counters.slips, refused.refused, refused.foreign, refused.implausible,
+            counters.last_cycle_ns * 1e-3, counters.max_cycle_ns * 1e-3, counters.last_lateness_ns * 1e-3,
+            self.dropped_ticks, *flatten(self.controller.internals), *flatten(self.detector.internals),
+        )  # fmt: skip
+

@@ -1,0 +1,89 @@
+"""Modes of the flight software and the rules between them.
+
+    standby --sensors good--> initial mode (detumble when the rate is high)
+    detumble --rate low--> point          point --rate high--> detumble
+    any --sensors stale, or safe requested--> safe --sensors good for a while--> standby
+
+Safe mode damps the rate while the gyro is good and commands zero torque otherwise.
+"""
+
+from __future__ import annotations
+
+import math
+from enum import IntEnum
+
+from bus.units import DEG, Vec3
+from fsw.config import ModesConfig
+
+
+class Mode(IntEnum):
+    """As the MODE signal of CYCLE_DONE carries it."""
+
+    STANDBY = 0
+    DETUMBLE = 1
+    POINT = 2
+    SAFE = 3
+
+
+class ModeManager:
+    """Decides the mode of every cycle and remembers why it last changed."""
+
+    def __init__(self, config: ModesConfig) -> None:
+        self._initial = Mode[config.initial.upper()]
+        self._detumble_above_rad_s = config.detumble_above_deg_s * DEG
+        self._point_below_rad_s = config.point_below_deg_s * DEG
+        self._recover_after = config.recover_after_ticks
+        self.reset()
+
+    def reset(self) -> None:
+        """Back to standby, as after boot."""
+        self.mode = Mode.STANDBY
+        self.reason = "boot"
+        self.changes = 0
+        self._good_ticks = 0
+
+    def step(self, attitude_good: bool, rate_good: bool, omega_bi_b_rad_s: Vec3, safe_requested: bool) -> Mode:
+        """Mode of this cycle.
+
+        attitude_good, rate_good : the estimate is fit for pointing / for damping
+        safe_requested           : detection or the executive asks for safe mode
+        """
+        good = attitude_good and rate_good and not safe_requested
+        self._good_ticks = self._good_ticks + 1 if good else 0
+        mode = self.mode
+        if mode is Mode.SAFE:
+            if self._initial is not Mode.SAFE and self._good_ticks >= self._recover_after:
+                self._enter(Mode.STANDBY, "sensors good again")
+        elif mode is Mode.STANDBY:
+            if safe_requested:
+                self._enter(Mode.SAFE, "safe mode requested")
+            elif good and self._initial is not Mode.STANDBY:
+                self._enter(self._start(omega_bi_b_rad_s), "sensors good")
+        elif not good:
+            self._enter(Mode.SAFE, _why(attitude_good, rate_good))
+        elif mode is Mode.DETUMBLE:
+            if _norm(omega_bi_b_rad_s) < self._point_below_rad_s and self._initial is not Mode.DETUMBLE:
+                self._enter(Mode.POINT, "rate low")
+        elif _norm(omega_bi_b_rad_s) > self._detumble_above_rad_s:
+            self._enter(Mode.DETUMBLE, "rate high")
+        return self.mode
+
+    def _start(self, omega_bi_b_rad_s: Vec3) -> Mode:
+        if self._initial is Mode.POINT and _norm(omega_bi_b_rad_s) > self._detumble_above_rad_s:
+            return Mode.DETUMBLE
+        return self._initial
+
+    def _enter(self, mode: Mode, reason: str) -> None:
+        self.mode = mode
+        self.reason = reason
+        self.changes += 1
+
+
+def _why(attitude_good: bool, rate_good: bool) -> str:
+    if not rate_good:
+        return "rate stale"
+    return "safe mode requested" if attitude_good else "attitude stale"
+
+
+def _norm(v: Vec3) -> float:
+    return math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])

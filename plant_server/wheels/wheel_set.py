@@ -1,0 +1,166 @@
+"""The four wheels together: momentum exchange with the body, telemetry, bookkeeping of torques."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from bus.units import Vec3, Vec4
+from plant_server.config import PlantConfig
+from plant_server.faults import WHEELS, FaultTimeline
+from plant_server.noise import open_normals
+from plant_server.wheels.axes import nominal_axis, true_axis
+from plant_server.wheels.commands import ZERO, CommandInbox
+from plant_server.wheels.reaction_wheel import ReactionWheel
+
+OK, NO_COMMAND, SPEED_LIMIT = 0, 2, 3  # STATUS of the wheel telemetry frame; 1, fault, is never known to the unit
+
+
+class WheelSet:
+    """Four wheels; `h_nms` is each rotor's absolute spin momentum, `speed_rad_s` its speed relative to the body."""
+
+    __slots__ = (
+        "_axes", "_commands", "_dirty", "_inverse_inertia", "_next_look", "_reach", "_simple", "_step_s", "_tacho",
+        "_wheels", "axes_b", "command_nm", "h_b_nms", "h_nms", "inbox", "nominal_axes_b", "speed_rad_s", "torque_b_nm",
+        "torque_nm",
+    )  # fmt: skip
+
+    def __init__(self, config: PlantConfig, timeline: FaultTimeline, omega_bi_b_rad_s: Vec3, seed: int) -> None:
+        self._step_s = config.step_s
+        self._wheels = tuple(
+            ReactionWheel(wheel, timeline.chains[unit], config.step_s)
+            for unit, wheel in zip(WHEELS, config.wheels, strict=True)
+        )
+        self._simple = all(wheel.simple for wheel in self._wheels)
+        self.axes_b = tuple(true_axis(w.mount, w.tilt_deg, w.clock_deg) for w in config.wheels)
+        self.nominal_axes_b = tuple(nominal_axis(w.mount) for w in config.wheels)
+        self._axes = tuple(component for axis in self.axes_b for component in axis)
+        inertia = [wheel.inertia for wheel in self._wheels]
+        self._inverse_inertia = (1.0 / inertia[0], 1.0 / inertia[1], 1.0 / inertia[2], 1.0 / inertia[3])
+        self.inbox = CommandInbox(
+            config.command_timeout_ticks, config.command_max_age_ticks, config.command_latency_ticks
+        )
+        self._tacho = [
+            (wheel.speed_noise_rad_s, open_normals(seed, unit)) for unit, wheel in zip(WHEELS, config.wheels, strict=True)
+        ] if any(wheel.speed_noise_rad_s > 0.0 for wheel in config.wheels) else []  # fmt: skip
+        h = []
+        for wheel, axis, i in zip(config.wheels, self.axes_b, inertia, strict=True):
+            spin = axis[0] * omega_bi_b_rad_s[0] + axis[1] * omega_bi_b_rad_s[1] + axis[2] * omega_bi_b_rad_s[2]
+            h.append(i * (wheel.speed_rad_s + spin))
+        self.h_nms: Vec4 = (h[0], h[1], h[2], h[3])
+        self.h_b_nms = self.combine(self.h_nms)
+        self.speed_rad_s: Vec4 = ZERO
+        self.measure_speed(omega_bi_b_rad_s)
+        self.command_nm: Vec4 = ZERO
+        self.torque_nm: Vec4 = ZERO
+        self.torque_b_nm: Vec3 = (0.0, 0.0, 0.0)
+        self._reach: Vec4 = ZERO  # speeds below which the torque in hand cannot reach the limit within a step
+        self._next_look = -1
+        self._dirty = True
+
+    def combine(self, per_wheel: Vec4) -> Vec3:
+        """Return D per_wheel: body vector of a quantity about the true axes, in its unit."""
+        a, b, c, d = per_wheel
+        ax, ay, az, bx, by, bz, cx, cy, cz, dx, dy, dz = self._axes
+        return (
+            ax * a + bx * b + cx * c + dx * d,
+            ay * a + by * b + cy * c + dy * d,
+            az * a + bz * b + cz * c + dz * d,
+        )
+
+    def combine_nominal(self, per_wheel: Vec4) -> Vec3:
+        """Return D0 per_wheel: body vector of a quantity about the nominal axes, in its unit."""
+        axes = self.nominal_axes_b
+        x, y, z = (sum(axis[j] * value for axis, value in zip(axes, per_wheel, strict=True)) for j in range(3))
+        return (x, y, z)
+
+    def receive(self, commands_nm: Sequence[float | None], age_ticks: Sequence[int]) -> None:
+        """Take the command frames of this tick."""
+        command = self.inbox.receive(commands_nm, age_ticks)
+        if command != self.command_nm:
+            self.command_nm = command
+            self._dirty = True
+
+    def look_again(self) -> None:
+        """Note that a fault was added to one of the chains."""
+        self._next_look = -1
+
+    def drive(self, step: int) -> None:
+        """Set `torque_nm` and `torque_b_nm`, the torques on the body over the integration step `step`."""
+        if step >= self._next_look:
+            self._look(step)
+        if self._simple and not self._dirty:
+            s1, s2, s3, s4 = self.speed_rad_s
+            r1, r2, r3, r4 = self._reach
+            if -r1 < s1 < r1 and -r2 < s2 < r2 and -r3 < s3 < r3 and -r4 < s4 < r4:
+                return
+        wheels = self._wheels
+        c1, c2, c3, c4 = self.command_nm
+        s1, s2, s3, s4 = self.speed_rad_s
+        w1, w2, w3, w4 = wheels
+        torque = (w1.drive(c1, s1), w2.drive(c2, s2), w3.drive(c3, s3), w4.drive(c4, s4))
+        if self._dirty or torque != self.torque_nm:
+            self.torque_nm = torque
+            self.torque_b_nm = self.combine(torque)
+            self._reach = (w1.reach(), w2.reach(), w3.reach(), w4.reach())
+            self._dirty = False
+
+    def _look(self, step: int) -> None:
+        t_s = (step + 0.5) * self._step_s
+        rising = [wheel.update_faults(step, t_s) for wheel in self._wheels]
+        self._next_look = step + 1 if any(rising) else min(wheel.chain.next_edge for wheel in self._wheels)
+        self._dirty = True
+
+    def spin(self) -> None:
+        """Advance the rotors' momentum by one step with the torque that `drive` set."""
+        a, b, c, d = self.h_nms
+        t1, t2, t3, t4 = self.torque_nm
+        dt = self._step_s
+        self.h_nms = h = (a - t1 * dt, b - t2 * dt, c - t3 * dt, d - t4 * dt)
+        self.h_b_nms = self.combine(h)
+
+    def measure_speed(self, omega_bi_b_rad_s: Vec3) -> None:
+        """Set the speeds relative to a body that turns at omega."""
+        x, y, z = omega_bi_b_rad_s
+        a, b, c, d = self.h_nms
+        ia, ib, ic, id_ = self._inverse_inertia
+        ax, ay, az, bx, by, bz, cx, cy, cz, dx, dy, dz = self._axes
+        self.speed_rad_s = (
+            a * ia - ax * x - ay * y - az * z,
+            b * ib - bx * x - by * y - bz * z,
+            c * ic - cx * x - cy * y - cz * z,
+            d * id_ - dx * x - dy * y - dz * z,
+        )
+
+    # -- telemetry -------------------------------------------------------------------------------------------------
+
+    def sample_speed(self) -> Vec4:
+        """Return the tachometer readings [rad/s]: each noisy from its own stream."""
+        if not self._tacho:
+            return self.speed_rad_s
+        a, b, c, d = (
+            speed + sigma * draw() for speed, (sigma, draw) in zip(self.speed_rad_s, self._tacho, strict=True)
+        )
+        return (a, b, c, d)
+
+    def sample_current(self) -> Vec4:
+        """Return the motor currents over the last step [A]: motor torque, drag not included, over motor constant."""
+        a, b, c, d = self._wheels
+        return (
+            a.motor_nm / a.motor_constant,
+            b.motor_nm / b.motor_constant,
+            c.motor_nm / c.motor_constant,
+            d.motor_nm / d.motor_constant,
+        )
+
+    def sample_status(self) -> tuple[int, int, int, int]:
+        """Return each wheel's status: 0 ok, 2 no command, 3 speed limit."""
+        a, b, c, d = (
+            NO_COMMAND if late else SPEED_LIMIT if wheel.limited else OK
+            for late, wheel in zip(self.inbox.timed_out, self._wheels, strict=True)
+        )
+        return (a, b, c, d)
+
+    def sample_silent(self) -> tuple[bool, bool, bool, bool]:
+        """Return which wheels send no telemetry."""
+        a, b, c, d = self._wheels
+        return (a.silent, b.silent, c.silent, d.silent)

@@ -1,0 +1,181 @@
+"""Files that extend files, and single values set from the command line: several sources made one tree of nodes."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from bus.settings import KeyPath, join_key
+from tools.config.findings import Finding, Place, Source
+from tools.config.yaml_nodes import Node, read_yaml
+
+MAX_BYTES = 4 * 1024 * 1024  # a scenario is a page or two; this is somebody's log
+TAGS = ("kind", "check")  # a mapping whose tag changes is another thing: its other keys do not carry over
+
+_KEY = re.compile(r"\.?([^.\[\]=]+)|\[(\d+)\]")
+
+
+class Merger:
+    """Reads sources into one tree. `findings` holds what was wrong on the way, `sources` every text read, in order."""
+
+    def __init__(self) -> None:
+        self.findings: list[Finding] = []
+        self.sources: list[Source] = []
+
+    def read_file(self, path: str | Path, wanted_at: Place | None = None, chain: tuple[str, ...] = ()) -> Node | None:
+        """Tree of a file and of all it extends. `wanted_at`: where another file names it."""
+        name = os.fspath(path)
+        if os.path.realpath(name) in chain:
+            self.add(wanted_at, "extends", f"{name} extends itself, by way of {' -> '.join(chain)}")
+            return None
+        text = self._read_text(name, wanted_at)
+        if text is None:
+            return None
+        return self.read_text(Source(name, text), (*chain, os.path.realpath(name)))
+
+    def read_text(self, source: Source, chain: tuple[str, ...] = ()) -> Node | None:
+        """Tree of a text and of all it extends."""
+        self.sources.append(source)
+        node, findings = read_yaml(source)
+        self.findings += findings
+        if node is None and not findings:
+            self.add(Place(source), "", "is empty; a scenario needs at least name, duration_s, plant and fsw")
+        if node is None:
+            return None
+        if not isinstance(node.value, dict):
+            self.add(node.place, "", "the top level must be a mapping of keys such as name, plant, fsw")
+            return None
+        parent = node.value.pop("extends", None)
+        if parent is None:
+            return node
+        if not isinstance(parent.value, str) or not parent.value:
+            self.add(parent.place, "extends", "needs the path of another scenario file, relative to this one")
+            return None
+        base_path = os.path.normpath(os.path.join(os.path.dirname(source.name), parent.value))
+        base = self.read_file(base_path, parent.place, chain)
+        return merge(base, node) if base is not None else None
+
+    def override(self, root: Node, setting: str) -> Node:
+        """Tree with one value replaced, from `key.path=value`; the value is YAML."""
+        source = Source(f"--set {setting}", setting, overrides=True)
+        self.sources.append(source)
+        key, equals, text = setting.partition("=")
+        path = parse_key(key.strip())
+        if not equals or path is None:
+            self.add(Place(source), "", "needs the form key.path=value, such as plant.wheels[0].max_torque_nm=0.2")
+            return root
+        node, findings = read_yaml(Source(source.name, text, overrides=True))
+        self.findings += findings
+        place = Place(source, 1, 1)
+        value = node if node is not None else Node(None, place)
+        value.key_place = place
+        if findings or not self._place_override(root, path, value):
+            return root
+        return root
+
+    def _place_override(self, root: Node, path: KeyPath, value: Node) -> bool:
+        node = root
+        for depth, key in enumerate(path[:-1]):
+            child = self._child(node, key)
+            if child is None and isinstance(node.value, dict):
+                child = node.value[str(key)] = Node({}, value.place, value.key_place)
+            if child is not None and isinstance(child.value, dict | list):
+                node = child
+                continue
+            known = f"has {len(node.value)} entries" if isinstance(node.value, list) else "is a single value"
+            self.add(value.place, join_key(path), f"cannot be set: {join_key(path[: depth or 1])} {known}")
+            return False
+        last = path[-1]
+        if isinstance(node.value, list):
+            if not isinstance(last, int) or last >= len(node.value):
+                self.add(value.place, join_key(path), f"cannot be set: the list has {len(node.value)} entries, from 0")
+                return False
+            node.value[last] = merge(node.value[last], value)
+        elif last in TAGS and str(last) in node.value and node.value[str(last)].value != value.value:
+            node.value = {str(last): value}
+        else:
+            old = node.value.get(str(last))
+            node.value[str(last)] = merge(old, value) if old is not None else value
+        return True
+
+    @staticmethod
+    def _child(node: Node, key: str | int) -> Node | None:
+        if isinstance(node.value, list):
+            return node.value[key] if isinstance(key, int) and key < len(node.value) else None
+        child: Node | None = node.value.get(str(key))
+        return child
+
+    def _read_text(self, name: str, wanted_at: Place | None) -> str | None:
+        try:
+            if os.path.isfile(name) and os.path.getsize(name) > MAX_BYTES:
+                return self._cannot(name, wanted_at, f"is larger than {MAX_BYTES // 1024**2} MB: not a scenario file")
+            data = Path(name).read_bytes()
+        except IsADirectoryError:
+            return self._cannot(name, wanted_at, "is a directory; name a scenario file in it")
+        except FileNotFoundError:
+            return self._cannot(name, wanted_at, "there is no such file" + _say_nearby(name))
+        except (OSError, ValueError) as error:
+            return self._cannot(name, wanted_at, f"cannot be read: {getattr(error, 'strerror', None) or error}")
+        try:
+            return data.decode("utf-8-sig")
+        except UnicodeDecodeError as error:
+            line = data.count(b"\n", 0, error.start) + 1
+            word = f"is not UTF-8 text: byte 0x{data[error.start]:02x} in line {line}; save it as UTF-8"
+            return self._cannot(name, wanted_at, word)
+
+    def _cannot(self, name: str, wanted_at: Place | None, message: str) -> None:
+        if wanted_at is None:
+            self.findings.append(Finding(Place(Source(name, "")), "", message))
+        else:
+            self.add(wanted_at, "extends", f"{name}: {message}")
+
+    def add(self, place: Place | None, key: str, message: str) -> None:
+        self.findings.append(Finding(place or Place(self.sources[-1]), key, message))
+
+
+def merge(base: Node, over: Node) -> Node:
+    """Tree in which `over` wins: mappings merge key by key, everything else is replaced as a whole."""
+    if not isinstance(base.value, dict) or not isinstance(over.value, dict) or _changes_tag(base.value, over.value):
+        return over
+    value = dict(base.value)
+    for key, child in over.value.items():
+        value[key] = merge(value[key], child) if key in value else child
+    return Node(value, over.place, over.key_place)
+
+
+def _changes_tag(base: dict[str, Node], over: dict[str, Node]) -> bool:
+    return any(tag in base and tag in over and base[tag].value != over[tag].value for tag in TAGS)
+
+
+def parse_key(text: str) -> KeyPath | None:
+    """Key path of `plant.wheels[2].mount` (or `plant.wheels.2.mount`); None when it is not one."""
+    path: list[str | int] = []
+    at = 0
+    while at < len(text):
+        match = _KEY.match(text, at)
+        if match is None or (at == 0 and text[0] in ".["):
+            return None
+        word, index = match.groups()
+        path.append(int(index) if index is not None else int(word) if word.isdigit() else word)
+        at = match.end()
+    return tuple(path) or None
+
+
+def apply_overrides(merger: Merger, root: Node, overrides: Sequence[str]) -> Node:
+    for setting in overrides:
+        root = merger.override(root, setting)
+    return root
+
+
+def _say_nearby(name: str) -> str:
+    folder = os.path.dirname(name) or "."
+    try:
+        files = sorted(entry for entry in os.listdir(folder) if entry.endswith((".yaml", ".yml")))
+    except OSError:
+        return ""
+    from bus.settings import nearest
+
+    guess = nearest(os.path.basename(name), files)
+    return f'; did you mean "{os.path.join(os.path.dirname(name), guess)}"?' if guess else ""

@@ -1,0 +1,103 @@
+"""A scenario: one vehicle, its faults, its flight software and what the run must show. Read by tools/config/loader.py."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal
+
+from bus.settings import BusConfig, ClockConfig, plain, run_hash
+from bus.units import Ge, Gt, Le, Seconds, Unit
+from fsw.config import FswConfig
+from plant_server.config import FaultConfig, PlantConfig
+from tools.config.expect import Expectation
+from tools.config.findings import Source
+
+STRICT: dict[str, Any] = {"extra": "forbid", "allow_inf_nan": False}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordConfig:
+    """How the run's log is written."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
+
+    compression: Literal["zstd", "lz4", "none"] = "zstd"  # of the MCAP chunks
+    chunk_kb: Annotated[int, Unit("kB"), Ge(4), Le(4096)] = 256  # largest chunk before compression
+    flush_s: Annotated[Seconds, Gt(0), Le(1)] = 0.5  # wall time after which a chunk is written, full or not
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scenario:
+    """A whole scenario file, after `extends` and overrides."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
+
+    name: str  # short, also names the log file
+    title: str = ""  # one line for reports
+    description: str = ""  # what it shows, and where the numbers come from
+    seed: Annotated[int, Ge(0)] = 0  # of every random stream in the plant
+    duration_s: Annotated[Seconds, Gt(0)]  # simulated time, whole ticks
+    clock: ClockConfig = field(default_factory=ClockConfig)
+    bus: BusConfig = field(default_factory=BusConfig)
+    plant: PlantConfig
+    faults: tuple[FaultConfig, ...] = ()  # each must take effect, or the run fails
+    fsw: FswConfig
+    expect: tuple[Expectation, ...] = ()  # all must hold for the run to pass
+    record: RecordConfig = field(default_factory=RecordConfig)
+
+
+@dataclass(frozen=True)
+class Resolved:
+    """A scenario that was found sound: every value in it, whether written or by default."""
+
+    scenario: Scenario
+    path: Path  # of the file it was read from
+    sources: tuple[Source, ...]  # the texts it was read from: the file, those it extends, overrides
+    bus_load_percent: float | None = None  # worst case at the scenario's bit rate; None: not computed
+
+    @cached_property
+    def run_hash(self) -> int:
+        """Number (u32) that both processes announce: see bus.settings.run_hash."""
+        return run_hash(self.as_dict())
+
+    @property
+    def ticks(self) -> int:
+        """Number of ticks of the whole run."""
+        return round(self.scenario.duration_s * self.scenario.clock.tick_hz)
+
+    def as_dict(self) -> dict[str, Any]:
+        """The scenario in JSON types; the same keys as in a scenario file."""
+        result: dict[str, Any] = plain(self.scenario)
+        return result
+
+    def to_yaml(self) -> str:
+        """The scenario as a file of its own, nothing left out; reads back as the same."""
+        import yaml
+
+        from tools.config.yaml_nodes import Dumper
+
+        return str(yaml.dump(self.as_dict(), Dumper=Dumper, sort_keys=False, allow_unicode=True, width=110))
+
+    def run_dict(self) -> dict[str, Any]:
+        """What both processes are told of the run (bus.settings.RunConfig), in JSON types."""
+        item = self.scenario
+        return {
+            "name": item.name,
+            "seed": item.seed,
+            "duration_s": item.duration_s,
+            "clock": plain(item.clock),
+            "bus": plain(item.bus),
+            "run_hash": self.run_hash,
+        }
+
+    def plant_json(self) -> str:
+        """What the plant's process gets: {run: RunConfig, plant: PlantConfig, faults: [FaultConfig]}."""
+        part = {"run": self.run_dict(), "plant": plain(self.scenario.plant), "faults": plain(self.scenario.faults)}
+        return json.dumps(part, allow_nan=False)
+
+    def fsw_json(self) -> str:
+        """What the flight software's process gets: {run: RunConfig, fsw: FswConfig}; nothing of plant or faults."""
+        return json.dumps({"run": self.run_dict(), "fsw": plain(self.scenario.fsw)}, allow_nan=False)

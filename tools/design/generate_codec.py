@@ -1,0 +1,352 @@
+"""Writes bus/icd_codec.py and bus/icd_table.py from bus/icd.dbc: `python -m tools.design.generate_codec`.
+
+The loop has 25 us for a tick of 13 frames, each encoded and decoded. cantools takes 15 us to encode one frame and 4 us
+to decode it, so the loop runs straight-line code generated from the same DBC; a test compares the two bit for bit.
+What the generated code is made of, and why:
+
+- One struct call per direction. The bits of counter and nibble share a 32-bit word with a following 24-bit signal:
+  `round(x / scale) * 256 + nibbles` is in range for the word exactly where the signal is in range for its 24 bits, so
+  that struct itself does the range check, and `word >> 8` extends the sign.
+- `round(x / scale)` and `raw * scale` are the very operations of cantools; multiplying by 1 / scale would differ.
+- Out-of-range values leave by an exception to one slow function that clamps them: the fast path has no comparison.
+- The checksum start value of each message has the data id already in it (bus/e2e.py).
+- Frame header and checksum byte come as one of 256 ready-made byte strings.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cantools
+
+from bus.e2e import checksum_start, residue_start
+
+BUS = Path(__file__).resolve().parents[2] / "bus"
+UNIT_SUFFIX = {"": "", "s": "_s", "N m": "_nm", "rad/s": "_rad_s", "mA": "_ma"}
+GROUPS = (  # function, first frame id, number of frames
+    ("rw_cmds", 0x110, 4),
+    ("rw_tlms", 0x190, 4),
+    ("fogs", 0x1A0, 3),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """One payload signal as the generated code sees it."""
+
+    name: str  # of the argument, with unit
+    label: str  # of the signal in the DBC
+    start: int
+    length: int
+    signed: bool
+    scale: float
+    minimum: float
+    maximum: float
+    is_count: bool  # whole number without unit: taken as int, not rounded
+
+    @property
+    def kind_in(self) -> str:
+        """Type that the encoder takes."""
+        return "int" if self.is_count else "float"
+
+    @property
+    def kind_out(self) -> str:
+        """Type that the decoder returns."""
+        return "int" if self.scale == 1 else "float"
+
+    @property
+    def raw(self) -> str:
+        """Expression of the raw value, rounded half-even."""
+        if self.is_count:
+            return self.name
+        return f"round({self.name})" if self.scale == 1 else f"round({self.name} / {self.scale!r})"
+
+    def physical(self, raw: str) -> str:
+        """Expression of the physical value."""
+        return raw if self.scale == 1 else f"{raw} * {self.scale!r}"
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Struct codes of bytes 1..7, and the expressions that go in and come out."""
+
+    codes: str
+    packed: tuple[str, ...]  # arguments of pack
+    assignments: tuple[str, ...]  # statements ahead of pack
+    names: tuple[str, ...]  # targets of unpack
+    nibbles: str  # expression of byte 1 after unpack
+    physical: tuple[str, ...]
+
+
+def read_fields(message: Any) -> list[Field]:
+    """Payload signals of a cantools message, in order of their place. Byte 0 and 1 are the same everywhere."""
+    head = [(s.start, s.length, s.byte_order) for s in message.signals[:3]]
+    if head != [(0, 8, "little_endian"), (8, 4, "little_endian"), (12, 4, "little_endian")] or message.length != 8:
+        raise ValueError(f"{message.name}: bytes 0 and 1 must be CHECKSUM, COUNTER and one nibble, 8 bytes in all")
+    return [read_field(message.name, signal) for signal in message.signals[3:]]
+
+
+def read_field(message: str, signal: Any) -> Field:
+    """One payload signal."""
+    if signal.offset != 0 or signal.byte_order != "little_endian" or signal.start % 8:
+        raise ValueError(f"{message}.{signal.name}: offset, big endian and bit positions are not supported")
+    unit = signal.unit or ""
+    name = signal.name.lower()
+    return Field(
+        name=name if name.endswith("seconds") else name + UNIT_SUFFIX[unit],
+        label=signal.name,
+        start=signal.start // 8,
+        length=signal.length,
+        signed=signal.is_signed,
+        scale=float(signal.scale) if signal.scale != 1 else 1,
+        minimum=signal.minimum,
+        maximum=signal.maximum,
+        is_count=signal.scale == 1 and not unit,
+    )
+
+
+def lay_out(fields: list[Field]) -> Layout:
+    """Struct layout of bytes 1..7 for these signals."""
+    codes, packed, assignments, names, physical = "B", ["nibbles"], [], ["nibbles"], []
+    end = 2
+    for field in fields:
+        codes += "x" * (field.start - end)
+        end = field.start + field.length // 8
+        if field.length == 24 and field.signed and field.start == 2:
+            codes, packed[0], names[0] = "i", f"{field.raw} * 256 + nibbles", "word"
+            physical.append(field.physical("(word >> 8)"))
+        elif field.length == 24 and field.signed:
+            codes += "Hb"
+            assignments.append(f"{field.name}_raw = {field.raw}")
+            if names[0] == "word":
+                assignments.append(f"word = {packed[0]}")
+                packed[0] = "word"
+            packed += [f"{field.name}_raw & 0xFFFF", f"{field.name}_raw >> 16"]
+            names += [f"{field.name}_low", f"{field.name}_high"]
+            physical.append(field.physical(f"({field.name}_high << 16 | {field.name}_low)"))
+        else:
+            code = {8: "b", 16: "h", 32: "i"}[field.length]
+            codes += code if field.signed else code.upper()
+            packed.append(field.raw)
+            names.append(field.name)
+            physical.append(field.physical(field.name))
+    codes += "x" * (8 - end)
+    nibbles = "word & 0xFF" if names[0] == "word" else "nibbles"
+    return Layout(codes, tuple(packed), tuple(assignments), tuple(names), nibbles, tuple(physical))
+
+
+def write_encoder(message: Any, fields: list[Field], layout: Layout) -> str:
+    """Source of one encoder."""
+    nibble = message.signals[2].name.lower()
+    arguments = ", ".join([f"counter: int, {nibble}: int"] + [f"{f.name}: {f.kind_in}" for f in fields])
+    values = ", ".join(["counter", nibble] + [f.name for f in fields])
+    nibbles = f"_NIBBLES[{nibble}][counter]"
+    body = [*layout.assignments, f"data = _pack_{layout.codes}({', '.join(layout.packed)})"]
+    lines = [f"def encode_{message.name}({arguments}) -> bytes:"]
+    lines.append(f'    """Frame 0x{message.frame_id:03X} as a 16-byte can_frame."""')
+    lines.append("    try:")
+    lines += [f"        {statement.replace('nibbles', nibbles)}" for statement in body]
+    lines.append("    except _OUT_OF_RANGE:")
+    lines.append(f"        return _saturate(0x{message.frame_id:03X}, {values})")
+    start = checksum_start(message.dbc.attributes["DataID"].value)
+    lines.append(f"    return _HEAD_{message.name}[_crc(data, 0x{start:02X})] + data")
+    return "\n".join(lines)
+
+
+def write_decoder(message: Any, fields: list[Field], layout: Layout) -> str:
+    """Source of one decoder."""
+    kinds = ", ".join(["int", "int"] + [f.kind_out for f in fields])
+    start = residue_start(message.dbc.attributes["DataID"].value)
+    nibble = message.signals[2].name.lower()
+    values = ", ".join(["counter", nibble, *layout.physical])
+    names = [f.name for f in fields]
+    return "\n".join(
+        [
+            f"def decode_{message.name}(data: bytes) -> tuple[{kinds}] | None:",
+            f'    """({", ".join(["counter", nibble, *names])}) of frame 0x{message.frame_id:03X}."""',
+            "    try:",
+            f"        checksum, {', '.join(layout.names)} = _unpack_{layout.codes}(data)",
+            "    except error:",
+            "        return None",
+            f"    if _crc(data, 0x{start:02X}) != RESIDUES[checksum]:",
+            "        return None",
+            f"    counter, {nibble} = _SPLIT[{layout.nibbles}]",
+            f"    return {values}",
+        ]
+    )
+
+
+def write_group(function: str, messages: list[Any], fields: list[Field], layout: Layout) -> str:
+    """Source of an encoder of several like messages in one go; signals with a unit differ, counts are shared."""
+    nibble = messages[0].signals[2].name.lower()
+    count = len(messages)
+    measured = [f for f in fields if not f.is_count]
+    arguments = [f"counter: int, {nibble}: {f'Nibbles{count}' if nibble == 'status' else 'int'}"]
+    arguments += [f"{f.name}: Floats{count}" if not f.is_count else f"{f.name}: {f.kind_in}" for f in fields]
+    lines = [f"def encode_{function}({', '.join(arguments)}) -> bytes:"]
+    lines.append(f'    """Frames 0x{messages[0].frame_id:03X}..0x{messages[-1].frame_id:03X} as {16 * count} bytes."""')
+    each = [nibble] if nibble == "status" else []
+    unpacked = each + [f.name for f in measured]
+    lines += [f"    {', '.join(f'{name}_{k}' for k in range(count))} = {name}" for name in unpacked]
+    lines.append("    try:")
+    if each:
+        lines.append("        nibbles = _BY_COUNTER[counter]")
+    else:
+        lines.append(f"        nibbles = _NIBBLES[{nibble}][counter]")
+    for k in range(count):
+        packed = ", ".join(layout.packed)
+        for f in measured:
+            packed = packed.replace(f.name, f"{f.name}_{k}")
+        if each:
+            packed = packed.replace("nibbles", f"nibbles[{nibble}_{k}]")
+        lines.append(f"        data_{k} = _pack_{layout.codes}({packed})")
+    lines.append("    except _OUT_OF_RANGE:")
+    lines.append("        return (")
+    for k, message in enumerate(messages):
+        values = ["counter", f"{nibble}_{k}" if each else nibble]
+        values += [f.name if f.is_count else f"{f.name}_{k}" for f in fields]
+        lines.append(f"            {'+ ' if k else ''}encode_{message.name}({', '.join(values)})")
+    lines.append("        )")
+    lines.append("    return _join((")
+    for k, message in enumerate(messages):
+        start = checksum_start(message.dbc.attributes["DataID"].value)
+        lines.append(f"        _HEAD_{message.name}[_crc(data_{k}, 0x{start:02X})], data_{k},")
+    lines.append("    ))  # fmt: skip")
+    return "\n".join(lines)
+
+
+HEADER = '''"""Codec of every message. Generated by tools/design/generate_codec.py from bus/icd.dbc: do not edit.
+
+encode_<NAME>(counter, nibble, *signals) returns a 16-byte Linux can_frame. Signals are physical values in DBC order,
+rounded half-even; a value outside its range is sent as the nearest one inside it. Counter and nibble are 0..15 by
+contract: above 15 goes as 15, below 0 is not looked for.
+Raises ValueError for NaN and TypeError for a count that is not a whole number.
+
+decode_<NAME>(data) returns (counter, nibble, *signals) of the 8 data bytes, or None where the checksum does not fit
+data and id, or where the length is not 8. It raises on no bytes whatever.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from operator import index
+from struct import Struct, error
+from typing import Any
+
+from fastcrc.crc8 import sae_j1850 as _crc
+
+from bus.e2e import RESIDUES
+
+Encoder = Callable[..., bytes]
+Decoder = Callable[[bytes], tuple[Any, ...] | None]
+Floats3 = tuple[float, float, float]
+Floats4 = tuple[float, float, float, float]
+Nibbles3 = tuple[int, int, int]
+Nibbles4 = tuple[int, int, int, int]
+
+_OUT_OF_RANGE = (error, IndexError, OverflowError, ValueError)
+_NIBBLES = tuple(tuple(high << 4 | low for low in range(16)) for high in range(16))  # [high nibble][counter]
+_BY_COUNTER = tuple(tuple(high << 4 | low for high in range(16)) for low in range(16))  # [counter][high nibble]
+_SPLIT = tuple((byte & 15, byte >> 4) for byte in range(256))
+_join = b"".join
+'''
+
+SATURATE = '''
+
+def _saturate(frame_id: int, *values: float) -> bytes:
+    """Frame with every value moved into its range. Raises ValueError for NaN, TypeError for a fraction of a count."""
+    bounded: list[float] = []
+    for value, (label, minimum, maximum, is_count) in zip(values, _LIMITS[frame_id], strict=True):
+        if value != value:
+            raise ValueError(f"frame 0x{frame_id:03X}: {label} is not a number; the caller must send a finite value")
+        bounded.append(min(max(index(value) if is_count else value, minimum), maximum))  # type: ignore[arg-type]
+    return ENCODERS[frame_id](*bounded)
+'''
+
+
+def write_limits(message: Any, fields: list[Field]) -> str:
+    """Row of the table that the slow path uses."""
+    nibble = message.signals[2].name
+    rows: list[tuple[str, float, float, bool]] = [("COUNTER", 0, 15, True), (nibble, 0, 15, True)]
+    rows += [(f.label, f.minimum, f.maximum, f.is_count) for f in fields]
+    inner = "".join(f"        {row!r},\n" for row in rows).replace("'", '"')
+    return f"    0x{message.frame_id:03X}: (\n{inner}    ),"
+
+
+def generate_codec(database: Any) -> str:
+    """Source text of bus/icd_codec.py."""
+    messages = sorted(database.messages, key=lambda m: m.frame_id)
+    fields = {m.frame_id: read_fields(m) for m in messages}
+    layouts = {m.frame_id: lay_out(fields[m.frame_id]) for m in messages}
+    by_id = {m.frame_id: m for m in messages}
+    parts = [HEADER]
+    for codes in sorted({layout.codes for layout in layouts.values()}):
+        parts.append(f'_pack_{codes} = Struct("<{codes}").pack')
+        parts.append(f'_unpack_{codes} = Struct("<B{codes}").unpack')
+    parts.append('_heads = Struct("=IB3xB").pack  # can_id, dlc, padding, checksum byte')
+    parts += [f"_HEAD_{m.name} = tuple(_heads(0x{m.frame_id:03X}, 8, byte) for byte in range(256))" for m in messages]
+    parts.append(SATURATE)
+    for m in messages:
+        parts.append("\n" + write_encoder(m, fields[m.frame_id], layouts[m.frame_id]) + "\n")
+        parts.append("\n" + write_decoder(m, fields[m.frame_id], layouts[m.frame_id]) + "\n")
+    for function, first, count in GROUPS:
+        group = [by_id[first + k] for k in range(count)]
+        parts.append("\n" + write_group(function, group, fields[first], layouts[first]) + "\n")
+    parts.append("\n_LIMITS: dict[int, tuple[tuple[str, float, float, bool], ...]] = {")
+    parts += [write_limits(m, fields[m.frame_id]) for m in messages]
+    parts.append("}\n\nENCODERS: dict[int, Encoder] = {")
+    parts += [f"    0x{m.frame_id:03X}: encode_{m.name}," for m in messages]
+    parts.append("}\n\nDECODERS: dict[int, Decoder] = {")
+    parts += [f"    0x{m.frame_id:03X}: decode_{m.name}," for m in messages]
+    parts.append("}\n")
+    return "\n".join(parts)
+
+
+TABLE_HEADER = '''"""What the loop needs of bus/icd.dbc. Generated by tools/design/generate_codec.py: do not edit.
+
+Read through bus/icd.py, which gives these rows their names.
+"""
+
+from __future__ import annotations
+
+# (frame id, name, sender, receivers, sent once per, cycle time [ms], data id), signals
+# signal: (name, start bit, length, signed, scale, minimum, maximum, unit, choices)
+# fmt: off
+ROWS = (
+'''
+
+
+def write_rows(message: Any) -> str:
+    """One message as a literal."""
+    attributes = message.dbc.attributes
+    base = attributes["CycleBase"]
+    head = (
+        message.frame_id, message.name, message.senders[0], tuple(sorted(message.receivers)),
+        base.definition.choices[base.value].lower(), message.cycle_time, attributes["DataID"].value,
+    )  # fmt: skip
+    lines = [f"    ({head!r}, ("]
+    for s in message.signals:
+        choices = tuple((number, str(name)) for number, name in (s.choices or {}).items())
+        row = (s.name, s.start, s.length, s.is_signed, s.scale, s.minimum, s.maximum, s.unit or "", choices)
+        line = f"        {row!r},"
+        lines.append(line if len(line) <= 120 else f"        {row[:-1]!r}"[:-1] + f",\n         {choices!r}),")
+    return "\n".join([*lines, "    )),"]).replace("'", '"')
+
+
+def generate_table(database: Any) -> str:
+    """Source text of bus/icd_table.py."""
+    rows = [write_rows(m) for m in sorted(database.messages, key=lambda m: m.frame_id)]
+    return TABLE_HEADER + "\n".join(rows) + "\n)\n"
+
+
+def main() -> None:
+    """Write the generated modules beside the DBC."""
+    database = cantools.database.load_file(BUS / "icd.dbc")
+    (BUS / "icd_codec.py").write_text(generate_codec(database), encoding="utf-8")
+    (BUS / "icd_table.py").write_text(generate_table(database), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

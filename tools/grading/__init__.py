@@ -1,0 +1,1 @@
+"""Grading: holds what a run must show against what its log says."""

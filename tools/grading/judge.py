@@ -1,0 +1,140 @@
+"""Judges one expectation on one log. The meaning of each check is stated beside its class in tools/config/expect.py."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bus.errors import ConfigError
+from tools.config.expect import Above, Below, Equals, Expectation, Holding, RmsBelow, RmsEquals, Settles, Within
+from tools.grading.signals import evaluate
+from tools.mcap_reader import Run
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What came of one requirement."""
+
+    name: str
+    passed: bool
+    value: float | None  # what was graded; None where it could not be
+    bound: str  # what it had to be, in words
+    margin: float | None  # distance to the bound, negative: failed
+    unit: str
+    detail: str = ""
+    source: str = ""
+
+    def as_dict(self) -> dict[str, Any]:
+        """In JSON types."""
+        return asdict(self)
+
+
+def judge(run: Run, item: Expectation) -> Verdict:
+    """The verdict on one expectation. A signal that is not in the log is a failure, not an exception."""
+    try:
+        series = evaluate(run, item.signal)
+    except ConfigError as error:
+        return _failed(item, str(error))
+    assert series.t_s is not None
+    until_s = math.inf if item.until_s is None else item.until_s
+    inside = (series.t_s >= item.from_s - 1e-9) & (series.t_s <= until_s + 1e-9)
+    t_s, values = series.t_s[inside], series.values[inside]
+    if not t_s.size:
+        return _failed(item, f"no sample between {item.from_s:g} s and {until_s:g} s")
+    if not np.all(np.isfinite(values)):
+        return _failed(item, f"not a number at t = {t_s[~np.isfinite(values)][0]:g} s")
+    if isinstance(item, Settles):
+        return _judge_settling(item, t_s, values)
+    if isinstance(item, RmsBelow | RmsEquals):
+        return _judge_rms(item, values)
+    return _judge_holding(item, t_s, values)
+
+
+def _failed(item: Expectation, detail: str) -> Verdict:
+    return Verdict(item.name, False, None, item.check, None, item.unit, detail, item.source)
+
+
+def _judge_settling(item: Settles, t_s: Floats, values: Floats) -> Verdict:
+    above = np.flatnonzero(np.abs(values) > item.bound)
+    settled_s = float(t_s[above[-1]]) if above.size else item.from_s
+    words, margins = [], []
+    if item.at_s is not None and item.tolerance_s is not None:
+        words.append(f"{item.at_s:g} +- {item.tolerance_s:g} s")
+        margins.append(item.tolerance_s - abs(settled_s - item.at_s))
+    if item.by_s is not None:
+        words.append(f"<= {item.by_s:g} s")
+        margins.append(item.by_s - settled_s)
+    if item.not_before_s is not None:
+        words.append(f">= {item.not_before_s:g} s")
+        margins.append(settled_s - item.not_before_s)
+    bound = f"within {item.bound:g} {item.unit} for good: " + ", ".join(words)
+    if above.size and above[-1] == values.size - 1:
+        return Verdict(item.name, False, None, bound, None, "s", f"still {abs(values[-1]):g} at the end", item.source)
+    margin = min(margins)
+    # The stamps are multiples of the tick; a time compared with a bound in seconds needs room for rounding.
+    return Verdict(item.name, margin >= -1e-9, settled_s, bound, margin, "s", "", item.source)
+
+
+def _judge_rms(item: RmsBelow | RmsEquals, values: Floats) -> Verdict:
+    rms = float(np.sqrt(np.mean(values * values)))
+    if isinstance(item, RmsBelow):
+        margin, bound = item.bound - rms, f"rms <= {item.bound:g} {item.unit}"
+    else:
+        margin = item.tolerance - abs(rms - item.value)
+        bound = f"rms {item.value:g} +- {item.tolerance:g} {item.unit}"
+    return Verdict(item.name, margin >= 0, rms, bound, margin, item.unit, "", item.source)
+
+
+def _slack(item: Holding, values: Floats) -> tuple[Floats, str]:
+    """How far each sample is inside the condition, and the condition in words."""
+    unit = f" {item.unit}" if item.unit else ""
+    match item:
+        case Below():
+            return item.bound - values, f"<= {item.bound:g}{unit}"
+        case Above():
+            return values - item.bound, f">= {item.bound:g}{unit}"
+        case Within():
+            return np.minimum(values - item.lower, item.upper - values), f"{item.lower:g} .. {item.upper:g}{unit}"
+        case Equals():
+            words = f"= {item.value:g}" + (f" +- {item.tolerance:g}" if item.tolerance else "")
+            return item.tolerance - np.abs(values - item.value), words + unit
+
+
+def _judge_holding(item: Holding, t_s: Floats, values: Floats) -> Verdict:
+    slack, bound = _slack(item, values)
+    if item.by_s is None and item.for_s is None:
+        worst = int(np.argmin(slack))
+        margin = float(slack[worst])
+        detail = f"at t = {t_s[worst]:g} s"
+        return Verdict(item.name, margin >= 0, float(values[worst]), bound, margin, item.unit, detail, item.source)
+    spells = _spells(slack >= 0, t_s)
+    end_s = float(t_s[-1])
+    for_s = item.for_s
+    if item.for_s is not None:
+        bound += f" for {item.for_s:g} s"
+    if item.by_s is not None:
+        bound += f" from {item.by_s:g} s at the latest"
+        if for_s is None:
+            good = [start for start, stop in spells if stop >= end_s]
+        else:
+            good = [start for start, stop in spells if stop - start >= for_s - 1e-9]
+        if not good:
+            return Verdict(item.name, False, None, bound, None, "s", "the condition never held that long", item.source)
+        margin = item.by_s - good[0]
+        return Verdict(item.name, margin >= -1e-9, good[0], bound, margin, "s", "", item.source)
+    longest = max((stop - start for start, stop in spells), default=0.0)
+    margin = longest - (for_s or 0.0)
+    return Verdict(item.name, margin >= -1e-9 and bool(spells), longest, bound, margin, "s", "", item.source)
+
+
+def _spells(holds: NDArray[np.bool_], t_s: Floats) -> list[tuple[float, float]]:
+    """Start and end of every unbroken spell in which the condition holds."""
+    edges = np.diff(np.concatenate(([0], holds.astype(np.int8), [0])))
+    starts, stops = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1
+    return [(float(t_s[a]), float(t_s[b])) for a, b in zip(starts, stops, strict=True)]

@@ -1,0 +1,105 @@
+"""The processes of a run: started with what they inherit, watched, and ended without leaving anything behind."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+PR_SET_PDEATHSIG = 1
+TERM_PATIENCE_S = 3.0  # between asking a process to end and ending it
+_LIBC = ctypes.CDLL(None, use_errno=True)
+
+
+def _end_with_parent() -> None:
+    """In the child: be told to end when the process that started us is killed."""
+    _LIBC.prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+
+
+@dataclass(slots=True)
+class Process:
+    """One child process: its name for messages, and where its words went."""
+
+    name: str
+    popen: subprocess.Popen[bytes]
+    stderr_path: Path
+
+    @property
+    def code(self) -> int | None:
+        """Exit code once it has ended; minus the signal's number when a signal ended it."""
+        return self.popen.poll()
+
+    def words(self) -> str:
+        """What it wrote on stderr."""
+        try:
+            return self.stderr_path.read_text(errors="replace").strip()
+        except OSError:
+            return ""
+
+    def fate(self) -> str:
+        """How it ended, in words."""
+        code = self.code
+        if code is None:
+            return f"{self.name} is still running"
+        if code < 0:
+            return f"{self.name} was killed by {signal.Signals(-code).name}"
+        return f"{self.name} ended with exit code {code}"
+
+
+def start(
+    name: str, module: str, arguments: Sequence[str], fds: Sequence[int], stderr_path: Path, *, orphan: bool = False
+) -> Process:
+    """Start `python -P -m module` in a session of its own, so that Ctrl-C reaches only the runner.
+
+    fds    : descriptors it inherits
+    orphan : it outlives a killed runner (the recorder: it ends when its pipes close)
+    """
+    with open(stderr_path, "wb") as stderr:
+        popen = subprocess.Popen(
+            [sys.executable, "-P", "-m", module, *arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=stderr,
+            stderr=stderr,
+            pass_fds=tuple(fds),
+            start_new_session=True,
+            preexec_fn=None if orphan else _end_with_parent,
+        )
+    return Process(name, popen, stderr_path)
+
+
+def stop(processes: Sequence[Process], patience_s: float = TERM_PATIENCE_S) -> None:
+    """Ask the processes to end, wait, and kill those that do not. A stopped process is continued first."""
+    for process in processes:
+        if process.code is None:
+            process.popen.send_signal(signal.SIGTERM)
+            process.popen.send_signal(signal.SIGCONT)
+    until = time.monotonic() + patience_s
+    for process in processes:
+        try:
+            process.popen.wait(max(0.0, until - time.monotonic()))
+        except subprocess.TimeoutExpired:
+            process.popen.kill()
+            process.popen.wait()
+
+
+def memory_mb(process: Process) -> float:
+    """Peak resident memory of a running process [MB]; 0 when it is gone."""
+    try:
+        status = Path(f"/proc/{process.popen.pid}/status").read_text()
+    except OSError:
+        return 0.0
+    for line in status.splitlines():
+        if line.startswith("VmHWM:"):
+            return int(line.split()[1]) / 1024.0
+    return 0.0
+
+
+def make_pipe() -> tuple[int, int]:
+    """Read and write end, neither inherited unless passed on."""
+    return os.pipe2(os.O_CLOEXEC)
