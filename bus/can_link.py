@@ -52,7 +52,7 @@ def list_can_links() -> list[str]:
 
 
 def check_link(name: str, bitrate_bps: int) -> CanLink:
-    """Return the interface if it can carry the bus. Raises BusAddressError saying what is wrong with it and what to do."""
+    """Return the interface if it can carry the bus. Raises BusAddressError: what is wrong with it and what to do."""
     if not kernel_has_can():
         raise BusAddressError(
             f"{name} is not there (this kernel has no CAN); use --bus hub: or run inside `hilsat vcan exec`"
@@ -62,10 +62,14 @@ def check_link(name: str, bitrate_bps: int) -> CanLink:
         there = list_can_links()
         near = difflib.get_close_matches(name, there, 1, 0.6)
         hint = f"did you mean {near[0]}? " if near else ""
-        listing = f"there are: {', '.join(there)}" if there else "there is no CAN interface: make one with `hilsat vcan up`"
+        listing = (
+            f"there are: {', '.join(there)}" if there else "there is no CAN interface: make one with `hilsat vcan up`"
+        )
         raise BusAddressError(f"{name} is not there; {hint}{listing}")
     if not link.is_can:
-        raise BusAddressError(f"{name} is not a CAN interface; CAN interfaces here: {', '.join(list_can_links()) or 'none'}")
+        raise BusAddressError(
+            f"{name} is not a CAN interface; CAN interfaces here: {', '.join(list_can_links()) or 'none'}"
+        )
     if not link.is_up:
         raise BusAddressError(f"{name} is down; bring it up as root: ip link set {name} up")
     if link.bitrate_bps is not None and link.bitrate_bps != bitrate_bps:

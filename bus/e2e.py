@@ -69,11 +69,13 @@ class Link:
             self._count(CRC if len(data) == 8 else LENGTH)
             return None
         counter = values[0]
-        if counter == self.expected or self._follow(counter):
-            self.accepted += 1
-            self.expected = NEXT_COUNTER[counter]
-            return values
-        return None
+        if counter == self.expected:
+            self.outcome = OK
+        elif not self._follow(counter):
+            return None
+        self.accepted += 1
+        self.expected = NEXT_COUNTER[counter]
+        return values
 
     def _follow(self, counter: int) -> bool:
         """True where a frame with an unexpected counter is still good."""

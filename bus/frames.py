@@ -75,9 +75,7 @@ def drop_malformed(batch: bytes) -> bytes:
     """Return the batch without the frames whose dlc is over 8, which a CAN controller could not send."""
     if not batch[4::FRAME_SIZE].strip(_VALID_DLCS):
         return batch
-    return b"".join(
-        batch[at : at + FRAME_SIZE] for at in range(0, len(batch), FRAME_SIZE) if batch[at + 4] <= 8
-    )
+    return b"".join(batch[at : at + FRAME_SIZE] for at in range(0, len(batch), FRAME_SIZE) if batch[at + 4] <= 8)
 
 
 class FrameFilter:

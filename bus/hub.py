@@ -13,92 +13,34 @@ import fcntl
 import os
 import select
 import socket
-import struct
 import termios
 import threading
-import time
-from collections import deque
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 from typing import Any
 
-from bus.errors import BusLostError
-from bus.frames import FRAME_SIZE, Filter, FrameFilter, check_batch, count_error_frames, drop_malformed
+from bus.frames import FRAME_SIZE, drop_malformed
 from bus.hub_directory import HubDirectory, resolve_directory
+from bus.hub_member import Client, DatagramSizes, Peer, read_count
 from bus.hub_wire import (
-    MAX_BATCH_FRAMES, MAX_DATAGRAM, MAX_QUEUE_FRAMES, VCAN_QUEUE_FRAMES, VERSION, pack_control, read_filters,
+    MAX_BATCH_FRAMES,
+    MAX_DATAGRAM,
+    MAX_QUEUE_FRAMES,
+    VCAN_QUEUE_FRAMES,
+    VERSION,
+    pack_control,
+    read_filters,
     unpack_control,
-)  # fmt: skip
-from bus.transport import TransportCounters
+)
 
 FINE_WAIT_S = 1.0  # epoll counts in ms: shorter waits go through select, which counts in us
 DATAGRAMS_PER_TURN = 64  # from one client before the others have theirs
-SENDS_PER_PUMP = 16  # a host that only sends still serves its clients this often
 MAX_CLIENTS = 128
 MAX_STRANGERS = 16  # connections that have not said hello
 MAX_NAME = 64
 
-_NOTHING = b"\0\0\0\0"
 _SEND_FLAGS = socket.MSG_DONTWAIT | socket.MSG_NOSIGNAL
 _LEFT = select.EPOLLHUP | select.EPOLLRDHUP
 _READABLE = select.EPOLLIN | select.EPOLLRDHUP
-
-
-@dataclass(frozen=True, slots=True)
-class Peer:
-    """One client as the hub sees it."""
-
-    node: str
-    pid: int
-    queued: int  # frames that it has not read (an upper bound)
-    dropped: int  # frames lost for it because its queue was full
-
-
-class DatagramSizes(dict[int, int]):
-    """Kernel memory that one unread datagram of so many bytes holds [B]; measured once per length."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._pair = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-
-    def __missing__(self, length: int) -> int:
-        self._pair[0].send(bytes(length))
-        size = self[length] = struct.unpack("i", fcntl.ioctl(self._pair[0], termios.TIOCOUTQ, _NOTHING))[0]
-        self._pair[1].recv(length)
-        return size
-
-    def close(self) -> None:
-        for end in self._pair:
-            end.close()
-
-
-class Client:
-    """The hub's book on one connection."""
-
-    __slots__ = (
-        "backlog", "dropped", "fd", "filter", "flights", "kernel_bytes", "limit", "node", "passes_all", "pid",
-        "queued", "receive_own", "reported", "sock",
-    )  # fmt: skip
-
-    def __init__(self, sock: socket.socket) -> None:
-        self.sock = sock
-        self.fd = sock.fileno()
-        self.pid: int = struct.unpack("3i", sock.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))[0]
-        self.node = ""  # until it says hello
-        self.filter = FrameFilter(None)
-        self.passes_all = True
-        self.receive_own = False
-        self.limit = VCAN_QUEUE_FRAMES
-        self.queued = 0  # frames not known to be read: in the kernel and in the backlog
-        self.flights: deque[tuple[int, int]] = deque()  # (frames, memory [B]) of each datagram given to the kernel
-        self.kernel_bytes = 0  # sum of the latter
-        self.backlog: deque[bytearray] = deque()  # what the kernel would not take yet, in order
-        self.dropped = 0
-        self.reported = 0  # of these, told to the client
-
-    def set_filters(self, filters: Sequence[Filter] | None) -> None:
-        self.filter = FrameFilter(filters)
-        self.passes_all = filters is None
 
 
 class Hub:
@@ -107,9 +49,7 @@ class Hub:
     accept_local : given each batch (and its frame count) that a client sends, for the node that the hub lives in
     """
 
-    def __init__(
-        self, where: str, node: str, accept_local: Callable[[bytes, int], None] | None = None
-    ) -> None:
+    def __init__(self, where: str, node: str, accept_local: Callable[[bytes, int], None] | None = None) -> None:
         self.directory = HubDirectory.make(resolve_directory(where))
         self.address = self.directory.address
         self.node = node
@@ -129,7 +69,7 @@ class Hub:
     def peers(self) -> tuple[Peer, ...]:
         """Return the clients that are on the bus."""
         for client in self._members:
-            self._settle(client)
+            client.settle()
         return tuple(Peer(c.node, c.pid, c.queued, c.dropped) for c in self._members)
 
     def fileno(self) -> int:
@@ -193,7 +133,7 @@ class Hub:
 
     def _deliver(self, client: Client, batch: bytes, count: int) -> None:
         if client.queued + count > client.limit:
-            self._settle(client)
+            client.settle()
             room = max(client.limit - client.queued, 0)
             if count > room:
                 client.dropped += count - room
@@ -244,15 +184,6 @@ class Hub:
         client.backlog.clear()
         self._watch(client, 0)
 
-    def _settle(self, client: Client) -> None:
-        """Strike what the client has read off its queue."""
-        held = struct.unpack("i", fcntl.ioctl(client.fd, termios.TIOCOUTQ, _NOTHING))[0]
-        flights = client.flights
-        while flights and client.kernel_bytes > held:
-            count, size = flights.popleft()
-            client.kernel_bytes -= size
-            client.queued -= count
-
     def _watch(self, client: Client, extra: int) -> None:
         with contextlib.suppress(OSError, ValueError):
             self._epoll.modify(client.fd, _READABLE | extra)
@@ -271,7 +202,7 @@ class Hub:
                 continue
             length = len(datagram)
             if not length:
-                if event & _LEFT and fcntl.ioctl(client.fd, termios.FIONREAD, _NOTHING) == _NOTHING:
+                if event & _LEFT and not read_count(client.fd, termios.FIONREAD):
                     self._dismiss(client)
                     return
                 self.malformed += 1
@@ -279,7 +210,8 @@ class Hub:
                 self.route(datagram, client)
             elif not self._obey(client, unpack_control(datagram)):
                 return
-            if fcntl.ioctl(client.fd, termios.FIONREAD, _NOTHING) == _NOTHING:
+            fcntl.ioctl(client.fd, termios.FIONREAD, client.bytes_waiting)
+            if not client.bytes_waiting[0]:
                 return
 
     def _obey(self, client: Client, message: dict[str, Any] | None) -> bool:
@@ -313,7 +245,9 @@ class Hub:
         client.receive_own = bool(hello.get("receive_own"))
         client.limit = queue_frames
         client.node = node
-        client.sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, max(queue_frames * self._sizes[FRAME_SIZE] // 2, 4096))
+        client.sock.setsockopt(
+            socket.SOL_SOCKET, socket.SO_SNDBUF, max(queue_frames * self._sizes[FRAME_SIZE] // 2, 4096)
+        )
         self._members = (*self._members, client)
         self._post(client, pack_control(welcome={"node": self.node}), 0)
         return True
@@ -379,123 +313,9 @@ class Hub:
         client.sock.close()
 
 
-class HubHost:
-    """The transport of the program that carries the bus: to every client it is one hop.
-
-    The hub is served inside recv() and send(). A host that computes for long without either leaves the others waiting.
-    """
-
-    def __init__(
-        self,
-        where: str,
-        node: str,
-        filters: Sequence[Filter] | None = None,
-        receive_own: bool = False,
-        queue_frames: int = VCAN_QUEUE_FRAMES,
-    ) -> None:
-        self._hub = Hub(where, node, self._accept)
-        self.address = self._hub.address
-        self.node = node
-        self.counters = TransportCounters()
-        self.kernel_stamps_ns: list[int] = []
-        self.departed = self._hub.departed
-        self._filter = FrameFilter(filters)
-        self._receive_own = receive_own
-        self._limit = queue_frames
-        self._inbox: list[bytes] = []
-        self._inbox_frames = 0
-        self._sends = 0
-        self._closed = False
-
-    def peers(self) -> tuple[Peer, ...]:
-        """Return the clients that are on the bus."""
-        return self._hub.peers()
-
-    def send(self, batch: bytes) -> None:
-        """Put the frames on the bus, in order. Never waits. Raises ValueError unless the batch is whole frames."""
-        check_batch(batch)
-        if self._closed:
-            raise BusLostError(f"{self.address}: {self.node} has left this bus")
-        self._sends += 1
-        if self._sends >= SENDS_PER_PUMP:
-            self._sends = 0
-            self._hub.pump(0.0)
-        if len(batch) <= MAX_DATAGRAM:
-            self._send_part(batch)
-        else:
-            for at in range(0, len(batch), MAX_DATAGRAM):
-                self._send_part(batch[at : at + MAX_DATAGRAM])
-
-    def recv(self, timeout_s: float | None = None) -> bytes:
-        """Return all frames waiting, at least one; b"" after `timeout_s` [s] or when a node has left."""
-        if self._closed:
-            raise BusLostError(f"{self.address}: {self.node} has left this bus")
-        hub = self._hub
-        self._sends = 0
-        departures = len(self.departed)
-        if self._inbox or not timeout_s and timeout_s is not None:
-            hub.pump(0.0)
-        elif timeout_s is None:
-            while not self._inbox and len(self.departed) == departures:
-                hub.pump(None)
-        else:
-            deadline = time.monotonic() + timeout_s
-            hub.pump(timeout_s)
-            while not self._inbox and len(self.departed) == departures:
-                left_s = deadline - time.monotonic()
-                if left_s <= 0.0:
-                    break
-                hub.pump(left_s)
-        self.counters.malformed = hub.malformed
-        return self._take()
-
-    def set_filters(self, filters: Sequence[Filter] | None) -> None:
-        """Receive only what passes one of the (id, mask) pairs from now on; None: everything."""
-        self._filter = FrameFilter(filters)
-
-    def fileno(self) -> int:
-        """Return a descriptor that is readable when a client wants something: not always a frame."""
-        return self._hub.fileno()
-
-    def close(self) -> None:
-        """End the bus for everybody on it."""
-        self._closed = True
-        self._hub.close()
-
-    def _send_part(self, batch: bytes) -> None:
-        count = self._hub.route(batch, None)
-        self.counters.tx += count
-        if self._receive_own and count:
-            self._accept(drop_malformed(batch), count)
-
-    def _accept(self, batch: bytes, count: int) -> None:
-        if not self._filter.passes_all:
-            batch = self._filter.select(batch)
-            count = len(batch) // FRAME_SIZE
-            if not count:
-                return
-        room = self._limit - self._inbox_frames
-        if count > room:
-            self.counters.dropped += count - room
-            batch = batch[: room * FRAME_SIZE]
-            count = room
-        if count:
-            self._inbox.append(batch)
-            self._inbox_frames += count
-
-    def _take(self) -> bytes:
-        inbox = self._inbox
-        if not inbox:
-            return b""
-        batch = inbox[0] if len(inbox) == 1 else b"".join(inbox)
-        self.counters.rx += self._inbox_frames
-        self.counters.error_frames += count_error_frames(batch)
-        self._inbox = []
-        self._inbox_frames = 0
-        return batch
-
-
-def serve(where: str, *, node: str = "hub", stop: threading.Event | None = None, ready: Callable[[], None] | None = None) -> None:
+def serve(
+    where: str, *, node: str = "hub", stop: threading.Event | None = None, ready: Callable[[], None] | None = None
+) -> None:
     """Carry a bus for others, and nothing else, until `stop` is set (or for ever).
 
     Raises BusInUseError, BusAddressError.

@@ -9,10 +9,11 @@ import socket
 import struct
 import termios
 import time
+from array import array
 from collections.abc import Sequence
 
 from bus.errors import BusInUseError, BusLostError
-from bus.frames import FRAME_SIZE, Filter, check_batch, count_error_frames, drop_malformed
+from bus.frames import FRAME_SIZE, Filter, check_batch, count_error_frames
 from bus.hub_directory import HubDirectory, resolve_directory
 from bus.hub_wire import MAX_DATAGRAM, VCAN_QUEUE_FRAMES, VERSION, pack_control, unpack_control
 from bus.transport import DEFAULT_PATIENCE_S, TransportCounters
@@ -20,7 +21,6 @@ from bus.transport import DEFAULT_PATIENCE_S, TransportCounters
 SEND_PATIENCE_S = 1.0  # a hub that has not taken a frame for so long is not taking this one either
 COARSE_WAIT_S = 1.0  # from here on the kernel's own receive timeout is exact enough, and saves a system call
 RETRY_S = 0.01
-_NOTHING = b"\0\0\0\0"
 _SEND_FLAGS = socket.MSG_NOSIGNAL
 
 
@@ -48,6 +48,7 @@ class HubClient:
         self.departed: list[str] = []
         self.host = ""  # node name of the host
         self._timeout_s: float | None = None  # as set on the socket
+        self._bytes_waiting = array("i", (0,))  # for FIONREAD to fill
         self._early: list[bytes] = []  # frames that came before anybody asked
         deadline = time.monotonic() + patience_s
         self._sock = self._connect(deadline, patience_s)
@@ -64,21 +65,15 @@ class HubClient:
 
         Waits for a hub that is behind, up to SEND_PATIENCE_S; what it does not take by then is counted in tx_failed.
         """
-        check_batch(batch)
-        sound = drop_malformed(batch)
-        if sound is not batch:
-            self.counters.malformed += (len(batch) - len(sound)) // FRAME_SIZE
-        for at in range(0, len(sound), MAX_DATAGRAM):
-            part = sound[at : at + MAX_DATAGRAM] if len(sound) > MAX_DATAGRAM else sound
-            count = len(part) // FRAME_SIZE
-            try:
-                self._sock.send(part, _SEND_FLAGS)
-            except BlockingIOError:
-                self.counters.tx_failed += count
-            except OSError:
-                raise self._lost() from None
-            else:
-                self.counters.tx += count
+        size = len(batch)
+        if size % FRAME_SIZE:
+            check_batch(batch)
+        if size <= MAX_DATAGRAM:
+            if size:
+                self._send_part(batch)
+            return
+        for at in range(0, size, MAX_DATAGRAM):
+            self._send_part(batch[at : at + MAX_DATAGRAM])
 
     def recv(self, timeout_s: float | None = None) -> bytes:
         """Return all frames waiting, at least one; b"" after `timeout_s` [s] or when a node has left."""
@@ -90,7 +85,8 @@ class HubClient:
             if not datagram:
                 return b""
             if not len(datagram) % FRAME_SIZE:
-                if fcntl.ioctl(self._fd, termios.FIONREAD, _NOTHING) == _NOTHING:
+                fcntl.ioctl(self._fd, termios.FIONREAD, self._bytes_waiting)
+                if not self._bytes_waiting[0]:
                     counters = self.counters
                     counters.rx += len(datagram) // FRAME_SIZE
                     counters.error_frames += count_error_frames(datagram)
@@ -117,6 +113,16 @@ class HubClient:
     def close(self) -> None:
         """Leave the bus."""
         self._sock.close()
+
+    def _send_part(self, batch: bytes) -> None:
+        try:
+            self._sock.send(batch, _SEND_FLAGS)
+        except BlockingIOError:
+            self.counters.tx_failed += len(batch) // FRAME_SIZE
+        except OSError:
+            raise self._lost() from None
+        else:
+            self.counters.tx += len(batch) // FRAME_SIZE
 
     def _receive(self, timeout_s: float | None) -> bytes:
         """Return the next datagram, b"" when none came in time. Raises BusLostError at the end of the connection."""

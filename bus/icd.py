@@ -41,9 +41,9 @@ class Message:
     signals: tuple[Signal, ...]
 
 
-def _read_row(head: Any, signals: Any) -> Message:
-    named = tuple(Signal(*row[:-1], dict(row[-1])) for row in signals)
-    return Message(*head, named)
+def _read_row(head: Any, rows: Any) -> Message:
+    signals = tuple(Signal(*[*row[:-1], dict(row[-1])]) for row in rows)
+    return Message(*[*head, signals])
 
 
 MESSAGES: dict[int, Message] = {head[0]: _read_row(head, signals) for head, signals in ROWS}

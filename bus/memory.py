@@ -1,7 +1,8 @@
-"""The bus inside one process: `memory:<name>`. Same order, filters and queue limits as the others; threads may share it."""
+"""The bus inside one process, `memory:<name>`. Order, filters and queues as on the others; threads may share it."""
 
 from __future__ import annotations
 
+import contextlib
 import os
 import threading
 from collections.abc import Sequence
@@ -172,10 +173,8 @@ class MemoryTransport:
 
     def _clear_event(self) -> None:
         if self._event_fd >= 0:
-            try:
+            with contextlib.suppress(BlockingIOError):
                 os.eventfd_read(self._event_fd)
-            except BlockingIOError:
-                pass
 
     def _lost(self) -> BusLostError:
         if self._closed:

@@ -22,10 +22,27 @@ import can
 
 from bus.errors import BusAddressError, BusLostError, HilsatError
 from bus.frames import (
-    EFF_FLAG, EFF_MASK, ERR_FLAG, FRAME, FRAME_SIZE, RTR_FLAG, SFF_MASK, Filter, FrameFilter, check_batch,
-    count_error_frames, drop_malformed, unpack_batch,
+    EFF_FLAG,
+    EFF_MASK,
+    ERR_FLAG,
+    FRAME,
+    FRAME_SIZE,
+    RTR_FLAG,
+    SFF_MASK,
+    Filter,
+    FrameFilter,
+    check_batch,
+    count_error_frames,
+    drop_malformed,
+    unpack_batch,
 )  # fmt: skip
-from bus.transport import DEFAULT_BITRATE_BPS, DEFAULT_PATIENCE_S, DEFAULT_QUEUE_FRAMES, TransportCounters, open_transport
+from bus.transport import (
+    DEFAULT_BITRATE_BPS,
+    DEFAULT_PATIENCE_S,
+    DEFAULT_QUEUE_FRAMES,
+    TransportCounters,
+    open_transport,
+)
 
 _serial = itertools.count(1)
 
@@ -191,7 +208,7 @@ class PyCanTransport:
     ) -> None:
         interface, _, where = address.partition(":")
         channel, _, query = where.partition("?")
-        settings = {key: read_setting(value) for key, value in parse_qsl(query)}
+        settings: dict[str, Any] = {key: read_setting(value) for key, value in parse_qsl(query)}
         self.address = address
         self.node = node
         self.counters = TransportCounters()
@@ -200,7 +217,7 @@ class PyCanTransport:
         self._filter = FrameFilter(filters)
         self._closed = False
         try:
-            self._bus = can.Bus(
+            self._bus: can.BusABC = can.Bus(
                 interface=interface,
                 channel=channel or None,
                 ignore_config=True,
@@ -228,7 +245,7 @@ class PyCanTransport:
                 counters.tx += 1
 
     def recv(self, timeout_s: float | None = None) -> bytes:
-        """Return all frames waiting, at least one; b"" after `timeout_s` [s]. CAN FD frames are counted and left out."""
+        """Return all frames waiting, at least one; b"" after `timeout_s` [s]. CAN FD frames are only counted."""
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
         while True:
             batch = self._filter.select(self._collect(timeout_s))

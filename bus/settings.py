@@ -14,7 +14,6 @@ import types
 import typing
 from dataclasses import dataclass, field
 from functools import cache
-from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, TypeVar, Union
 
 from annotated_types import Ge, Gt, Le, Lt
@@ -120,15 +119,6 @@ def build(cls: type[T], data: object, where: str) -> T:
     if reading.problems:
         raise ConfigError(*(f"{where}: {join_key(p.path)}: {p.message}" for p in reading.problems))
     return typing.cast(T, reading.value)
-
-
-def build_file(cls: type[T], path: str | Path) -> T:
-    """The settings object that a JSON file describes. Raises ConfigError when it cannot be read or is wrong."""
-    try:
-        data = json.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise ConfigError(f"{path}: cannot read settings: {error}") from None
-    return build(cls, data, str(path))
 
 
 def plain(value: Any) -> Any:
@@ -344,7 +334,8 @@ def _limit(number: int | float, at: KeyPath, out: Reading, notes: tuple[Any, ...
             or (isinstance(note, Le) and not number <= note.le)  # type: ignore[operator]
         ):
             unit = unit_of(notes)
-            return out.add(at, f"{describe(number)}{' ' + unit if unit else ''} is out of range{_say_allowed(notes)}")
+            shown = f"{describe(number)} {unit}" if unit else describe(number)
+            return out.add(at, f"{shown} is out of range; allowed: {limits_of(notes)}")
     return number
 
 

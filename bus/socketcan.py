@@ -90,7 +90,7 @@ class SocketCanTransport:
                 counters.tx += 1
 
     def recv(self, timeout_s: float | None = None) -> bytes:
-        """Return all frames waiting, at least one; b"" after `timeout_s` [s]. CAN FD frames are counted and left out."""
+        """Return all frames waiting, at least one; b"" after `timeout_s` [s]. CAN FD frames are only counted."""
         frames: list[bytes] = []
         while not frames:
             if timeout_s != 0.0 and not self._wait(timeout_s):

@@ -110,7 +110,7 @@ def open_transport(
         return MemoryTransport(where, node, host, filters, receive_own, queue_frames)
     if scheme == "hub":
         if host:
-            from bus.hub import HubHost
+            from bus.hub_host import HubHost
 
             return HubHost(where, node, filters, receive_own, queue_frames)
         from bus.hub_client import HubClient

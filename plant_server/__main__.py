@@ -114,7 +114,9 @@ def _serve(config: PlantFile, telemetry_fd: int | None, progress: Progress) -> N
             progress.say(state="waiting", bus=transport.address)
             meet_fsw(transport, server, run.run_hash, MEETING_PATIENCE_S)
             progress.say(state="running")
+            started_s = time.monotonic()
             _loop(run, server, transport, log, progress)
+            progress.say(running_s=time.monotonic() - started_s)
             reason = "done"
         except Interrupted:
             reason = "interrupted"

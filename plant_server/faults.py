@@ -161,12 +161,12 @@ class FaultEvent(NamedTuple):
     unit: str
     kind: str
     active: bool  # True: took effect; False: ended
+    magnitude: float  # the first magnitude that the fault gives; 0.0 when it takes none
+    magnitudes: str  # all of them, as text
 
-    @property
-    def text(self) -> str:
-        """The event as a line for a log."""
-        what = "took effect" if self.active else "ended"
-        return f"fault {self.index}: {self.unit} {self.kind} {what} at tick {self.tick} ({self.t_s:g} s)"
+    def describe(self) -> str:
+        """Return unit, kind and magnitudes as a phrase for a log."""
+        return " ".join(word for word in (self.unit, self.kind, self.magnitudes) if word)
 
 
 class ActiveFault:
@@ -281,7 +281,10 @@ class FaultTimeline:
         while self._edges and self._edges[-1][0] <= step:
             edge, index, fault, active = self._edges.pop()
             tick = edge // self._steps_per_tick
-            events.append(FaultEvent(tick, edge * self._step_s, index, fault.unit, fault.kind, active))
+            given = [(key, getattr(fault, key)) for key in MAGNITUDES if getattr(fault, key) is not None]
+            text = ", ".join(f"{key} {value:g}" for key, value in given)
+            value = given[0][1] if given else 0.0
+            events.append(FaultEvent(tick, edge * self._step_s, index, fault.unit, fault.kind, active, value, text))
         self._next_edge = self._edges[-1][0] if self._edges else NEVER
         return tuple(events)
 

@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import IO, Final, Literal, Self
 
 import lz4.frame  # type: ignore[import-untyped]
-import numpy as np
 import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.exceptions import McapError
@@ -40,7 +39,7 @@ from mcap.records import (
 )
 
 from bus.errors import RecordError
-from tools.message_index import LayoutIndex, MessageTable
+from tools.message_index import LayoutIndex
 
 Compression = Literal["zstd", "lz4", ""]
 
@@ -162,30 +161,33 @@ class McapWriter:
 
     def write_chunk(self, parts: list[bytes]) -> None:
         """Write one chunk of ticks, each of which is whole Message records, and its message index."""
-        table = self._layouts.locate(parts)
-        if not len(table.channel):
+        data = b"".join(parts)
+        table = self._layouts.locate(parts, data)
+        if not table:
             return
-        unknown = set(np.unique(table.channel).tolist()) - self._channels.keys()
+        unknown = table.keys() - self._channels.keys()
         if unknown:
             raise RecordError(f"telemetry on channels {sorted(unknown)}, which no process announced")
-        data = b"".join(parts)
+        first_ns = min(int(pairs[:, 0].min()) for pairs in table.values())
+        last_ns = max(int(pairs[:, 0].max()) for pairs in table.values())
         packed = self._compress(data)
         name = self._compression.encode()
-        first_ns, last_ns = int(table.log_time_ns.min()), int(table.log_time_ns.max())
         crc = 0 if name else zlib.crc32(data)
         head = CHUNK_HEAD.pack(
             Opcode.CHUNK, 40 + len(name) + len(packed), first_ns, last_ns, len(data), crc
         ) + struct.pack(f"<I{len(name)}sQ", len(name), name, len(packed))
-        chunk_length = len(head) + len(packed)
-        indexes = _format_indexes(table)
-        offsets: dict[int, int] = {}
-        at = self._size + chunk_length
-        for channel, (count, record) in indexes.items():
-            offsets[channel] = at
-            at += len(record)
-            self._counts[channel] = self._counts.get(channel, 0) + count
         start = self._size
-        self._write(b"".join((head, packed, *(record for _, record in indexes.values()))))
+        chunk_length = len(head) + len(packed)
+        offsets: dict[int, int] = {}
+        indexes: list[bytes] = []
+        at = start + chunk_length
+        for channel, pairs in table.items():
+            size = 16 * len(pairs)
+            indexes += INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + size, channel, size), pairs.tobytes()
+            offsets[channel] = at
+            at += INDEX_HEAD.size + size
+            self._counts[channel] = self._counts.get(channel, 0) + len(pairs)
+        self._write(b"".join((head, packed, *indexes)))
         index = ChunkIndex(
             message_start_time=first_ns, message_end_time=last_ns, chunk_start_offset=start,
             chunk_length=chunk_length, message_index_offsets=offsets,
@@ -276,19 +278,3 @@ def format_records(*records: McapRecord) -> bytes:
     laid_down: bytes = builder.end()  # type: ignore[no-untyped-call]
     return laid_down
 
-
-def _format_indexes(table: MessageTable) -> dict[int, tuple[int, bytes]]:
-    """Channel -> number of its messages and its MessageIndex record."""
-    order = np.argsort(table.channel << 40 | table.offset)
-    channel = table.channel[order]
-    pairs = np.empty((len(order), 2), "<u8")
-    pairs[:, 0] = table.log_time_ns[order]
-    pairs[:, 1] = table.offset[order]
-    cuts = (np.flatnonzero(np.diff(channel)) + 1).tolist()
-    raw = pairs.tobytes()
-    indexes = {}
-    for begin, end in zip([0, *cuts], [*cuts, len(order)], strict=True):
-        number, size = int(channel[begin]), 16 * (end - begin)
-        head = INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + size, number, size)
-        indexes[number] = (end - begin, head + raw[16 * begin : 16 * end])
-    return indexes

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from bus.errors import RecordError
 
 Ints = NDArray[np.int64]
+Pairs = NDArray[np.uint64]  # one row a message: log time [ns], offset
 
 HEAD: Final = struct.Struct("<BQHIQ")  # opcode, length, channel, sequence, log_time
 MESSAGE: Final = 0x05
@@ -66,54 +67,60 @@ class Layout:
 
     table: MessageTable
     columns: Ints
-    constant: NDArray[np.uint8]
+    constant: bytes
 
 
 class LayoutIndex:
-    """Tables of the messages in ticks, remembered by tick length."""
+    """Log times and offsets of the messages in ticks, by channel. Layouts are remembered by tick length."""
 
     def __init__(self) -> None:
         self._layouts: dict[int, Layout] = {}
 
-    def locate(self, parts: list[bytes]) -> MessageTable:
-        """The messages in the concatenation of `parts`, each of which is whole records. Raises RecordError if not."""
+    def locate(self, parts: list[bytes], data: bytes) -> dict[int, Pairs]:
+        """Channel -> (log time, offset) of its messages in `data`, which is the concatenation of `parts`.
+
+        Each part is whole Message records; raises RecordError if not.
+        """
         lengths = np.fromiter(map(len, parts), np.int64, len(parts))
         starts = np.cumsum(lengths) - lengths
-        tables: list[MessageTable] = []
+        found: dict[int, list[Pairs]] = {}
         for length in set(lengths.tolist()):
-            rows = np.flatnonzero(lengths == length)
-            alike = [parts[row] for row in rows.tolist()]
-            table = self._match(alike, length, starts[rows]) if len(alike) >= FEW else None
-            if table is None:
-                tables += [_walk_whole(part, start) for part, start in zip(alike, starts[rows].tolist(), strict=True)]
+            mine = starts[lengths == length]
+            if len(mine) < FEW or not self._match(data, length, mine, found):
+                for start in mine.tolist():
+                    _collect(_walk_whole(data[start : start + length], start), found)
+        merged = {}
+        for channel, pairs in sorted(found.items()):
+            if len(pairs) == 1:
+                merged[channel] = pairs[0]
             else:
-                tables.append(table)
-        if not tables:
-            return EMPTY
-        merged = MessageTable(*(np.concatenate(column) for column in zip(*tables, strict=True)))
-        order = np.argsort(merged.offset)
-        return MessageTable(*(column[order] for column in merged))
+                stacked = np.concatenate(pairs)
+                merged[channel] = stacked[np.argsort(stacked[:, 1], kind="stable")]
+        return merged
 
-    def _match(self, alike: list[bytes], length: int, starts: Ints) -> MessageTable | None:
-        """The table of parts that all have the layout known for this length, else None."""
+    def _match(self, data: bytes, length: int, starts: Ints, found: dict[int, list[Pairs]]) -> bool:
+        """Add the messages of parts that all have the layout known for this length; False when one has not."""
         layout = self._layouts.get(length)
         if layout is None:
-            layout = self._layouts[length] = _learn_layout(alike[0])
-        table, count = layout.table, len(layout.table.channel)
-        matrix = np.frombuffer(b"".join(alike), np.uint8).reshape(len(alike), length)
-        taken = matrix.take(layout.columns, axis=1)
-        if not np.array_equal(
-            taken[:, : count * CONSTANT], np.broadcast_to(layout.constant, (len(alike), count * CONSTANT))
-        ):
+            first = int(starts[0])
+            layout = self._layouts[length] = _learn_layout(data[first : first + length])
+        table, alike = layout.table, len(starts)
+        count = len(table.channel)
+        taken = np.frombuffer(data, np.uint8)[starts[:, None] + layout.columns]
+        if taken[:, : count * CONSTANT].tobytes() != layout.constant * alike:
             del self._layouts[length]
-            return None
-        times = np.ascontiguousarray(taken[:, count * CONSTANT :]).view("<i8")
-        return MessageTable(
-            np.tile(table.channel, len(alike)),
-            times.ravel(),
-            (starts[:, None] + table.offset[None, :]).ravel(),
-            np.tile(table.size, len(alike)),
-        )
+            return False
+        pairs = np.empty((count, alike, 2), "<u8")
+        pairs[:, :, 0] = np.ascontiguousarray(taken[:, count * CONSTANT :]).view("<u8").T
+        pairs[:, :, 1] = starts + table.offset[:, None]
+        for number, channel in enumerate(table.channel.tolist()):
+            found.setdefault(channel, []).append(pairs[number])
+        return True
+
+
+def _collect(table: MessageTable, found: dict[int, list[Pairs]]) -> None:
+    for channel, log_time_ns, offset in zip(*(column.tolist() for column in table[:3]), strict=True):
+        found.setdefault(channel, []).append(np.array([[log_time_ns, offset]], "<u8"))
 
 
 def _walk_whole(part: bytes, start: int) -> MessageTable:
@@ -127,4 +134,4 @@ def _learn_layout(part: bytes) -> Layout:
     table = _walk_whole(part, 0)
     constant = (table.offset[:, None] + np.arange(CONSTANT)).ravel()
     times = (table.offset[:, None] + TIME_AT + np.arange(8)).ravel()
-    return Layout(table, np.concatenate((constant, times)), np.frombuffer(part, np.uint8)[constant])
+    return Layout(table, np.concatenate((constant, times)), np.frombuffer(part, np.uint8)[constant].tobytes())

@@ -54,6 +54,7 @@ class _Source:
     """One process as the recorder sees it."""
 
     last_tick: int = -1
+    last_t_ns: int = 0
     open: bool = True
     reason: str = ""
     dropped: int = 0
@@ -85,15 +86,13 @@ class Recorder:
         self._realtime = realtime
         self._clock = clock
         self._deadline = clock() + FLUSH_S
-        # (tick, source, arrival, records): as tuples they sort into the order of the file. Never two equal.
-        self._held: list[tuple[int, int, int, bytes]] = []
+        # Two lists instead of one of tuples: nothing here for the garbage collector to visit.
+        self._keys: list[int] = []  # tick << 8 | source: the order of the file
+        self._held: list[bytes] = []
         self._held_bytes = 0
         self._limit_bytes = CHUNK_BYTES
         self._mark = (-1, clock())  # real time: the newest tick at that moment, due PATIENCE_S later
-        self._arrivals = 0
         self._failure: RecordError | None = None
-        self._last_t_ns = 0
-        self._last_tick = -1
         with self._writing():
             self._writer.add_metadata("run", metadata)
             for attachment in attachments:
@@ -123,9 +122,9 @@ class Recorder:
         """Take the Message records of one tick of one source."""
         state = self._sources[source]
         state.last_tick = tick
-        self._last_t_ns = t_ns
-        self._arrivals += 1
-        self._held.append((tick, source, self._arrivals, records))
+        state.last_t_ns = t_ns
+        self._keys.append(tick << 8 | source)
+        self._held.append(records)
         self._held_bytes += len(records)
         if state.json_waiting:
             self._file_json(source, state, tick)
@@ -154,13 +153,18 @@ class Recorder:
         self._deadline = now + FLUSH_S
         if not self._held:
             return
-        self._held.sort()
+        keys = sorted(self._keys)
+        if keys != self._keys:
+            order = sorted(range(len(keys)), key=self._keys.__getitem__)  # stable: arrivals of one key keep their order
+            self._held = [self._held[index] for index in order]
+            self._keys = keys
         count = self._count_complete(now)
         if count:
             with self._writing():
-                self._write_out([entry[3] for entry in self._held[:count]])
+                self._write_out(self._held[:count])
             del self._held[:count]
-            self._held_bytes = sum(len(entry[3]) for entry in self._held)
+            del self._keys[:count]
+            self._held_bytes = sum(map(len, self._held))
         self._limit_bytes = self._held_bytes + CHUNK_BYTES
 
     def poll(self) -> float:
@@ -184,16 +188,18 @@ class Recorder:
                 self._mark = (max(heads), now)
             if max(heads) > horizon:
                 self._deadline = min(self._deadline, now + PATIENCE_S)
-        return bisect.bisect_left(self._held, (horizon + 1,))
+        return bisect.bisect_left(self._keys, (horizon + 1) << 8)
 
     def _write_out(self, parts: list[bytes]) -> None:
-        """Write chunks of at most about CHUNK_BYTES."""
+        """Write chunks of about CHUNK_BYTES, without a small one at the end."""
+        total = sum(map(len, parts))
+        target = total / max(1, total // CHUNK_BYTES)
         batch: list[bytes] = []
         size = 0
         for part in parts:
             batch.append(part)
             size += len(part)
-            if size >= CHUNK_BYTES:
+            if size >= target:
                 self._writer.write_chunk(batch)
                 batch, size = [], 0
         if batch:
@@ -205,8 +211,8 @@ class Recorder:
             self._declare_json(topic)
             channel = JSON_TOPICS[topic].channel
             record = MESSAGE.pack(5, 22 + len(payload), channel, tick & 0xFFFFFFFF, t_ns, t_ns) + payload
-            self._arrivals += 1
-            self._held.append((tick, source, self._arrivals, record))
+            self._keys.append(tick << 8 | source)
+            self._held.append(record)
             self._held_bytes += len(record)
         state.json_waiting.clear()
 
@@ -221,9 +227,10 @@ class Recorder:
 
     def report(self, level: str, message: str) -> None:
         """Log a line of the recorder's own on /events."""
-        payload = format_event(self._last_t_ns, level, "recorder", message)
-        state = _Source(json_waiting=[(EVENTS.name, self._last_t_ns, payload)])
-        self._file_json(RECORDER, state, max(source.last_tick for source in self._sources.values()) + 1)
+        last_tick = max(source.last_tick for source in self._sources.values())
+        t_ns = max(source.last_t_ns for source in self._sources.values())
+        state = _Source(json_waiting=[(EVENTS.name, t_ns, format_event(t_ns, level, "recorder", message))])
+        self._file_json(RECORDER, state, last_tick + 1)
 
     def add_attachment(self, name: str, media_type: str, data: bytes) -> None:
         """Attach a file now, behind what has been flushed."""

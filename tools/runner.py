@@ -115,7 +115,7 @@ class _Supervisor:
         plant = {"plant": plain(scenario.plant), "faults": plain(scenario.faults), "target_q": target_q}
         plant_file.write_text(json.dumps({"run": run} | plant))
         fsw_file.write_text(json.dumps({"run": run, "fsw": plain(scenario.fsw)}))
-        meta_file.write_text(json.dumps(_describe(self._resolved, self._address)))
+        meta_file.write_text(json.dumps(describe(self._resolved, self._address)))
         out = self._out
         try:
             recorder = start(
@@ -213,7 +213,7 @@ class _Supervisor:
         stop([recorder])
 
 
-def _describe(resolved: Resolved, address: str) -> dict[str, Any]:
+def describe(resolved: Resolved, address: str) -> dict[str, Any]:
     """What the recorder is told: metadata and attachments of the log."""
     return {
         "metadata": describe_run(resolved, address),

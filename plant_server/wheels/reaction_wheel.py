@@ -75,6 +75,10 @@ class ReactionWheel:
         self.motor_nm = motor
         return motor if self.simple else motor + self._drag(motor, speed_rad_s)
 
+    def reach(self) -> float:
+        """Return the speed [rad/s] below which the torque in hand stays within the speed limit for another step."""
+        return -1.0 if self.limited else self._max_speed - abs(self.motor_nm) * self._dt_per_inertia
+
     def _drag(self, motor_nm: float, speed_rad_s: float) -> float:
         """Return the drag torque on the body [N m]: viscous, and dry friction that stops the rotor but never turns it.
 

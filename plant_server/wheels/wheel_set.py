@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from bus.units import Vec3, Vec4
+from bus.units import Mat3, Vec3, Vec4
 from plant_server.config import PlantConfig
 from plant_server.faults import WHEELS, FaultTimeline
 from plant_server.noise import open_normals
 from plant_server.wheels.axes import nominal_axis, true_axis
-from plant_server.wheels.commands import ZERO, CommandInbox
 from plant_server.wheels.reaction_wheel import ReactionWheel
 
+ZERO: Vec4 = (0.0, 0.0, 0.0, 0.0)
 OK, NO_COMMAND, SPEED_LIMIT = 0, 2, 3  # STATUS of the wheel telemetry frame; 1, fault, is never known to the unit
 
 
@@ -19,15 +19,17 @@ class WheelSet:
     """Four wheels; `h_nms` is each rotor's absolute spin momentum, `speed_rad_s` its speed relative to the body."""
 
     __slots__ = (
-        "_axes", "_commands", "_dirty", "_inverse_inertia", "_next_look", "_reach", "_simple", "_step_s", "_tacho",
-        "_wheels", "axes_b", "command_nm", "h_b_nms", "h_nms", "inbox", "nominal_axes_b", "speed_rad_s", "torque_b_nm",
+        "_axes", "_dirty", "_inverse_inertia", "_next_look", "_reach", "_simple", "_step_s", "_tacho",
+        "_wheels", "axes_b", "command_nm", "commanded", "h_b_nms", "h_nms", "nominal_axes_b", "speed_rad_s", "torque_b_nm",
         "torque_nm",
     )  # fmt: skip
 
-    def __init__(self, config: PlantConfig, timeline: FaultTimeline, omega_bi_b_rad_s: Vec3, seed: int) -> None:
-        self._step_s = config.step_s
+    def __init__(
+        self, config: PlantConfig, timeline: FaultTimeline, omega_bi_b_rad_s: Vec3, step_s: float, seed: int
+    ) -> None:
+        self._step_s = step_s
         self._wheels = tuple(
-            ReactionWheel(wheel, timeline.chains[unit], config.step_s)
+            ReactionWheel(wheel, timeline.chains[unit], step_s)
             for unit, wheel in zip(WHEELS, config.wheels, strict=True)
         )
         self._simple = all(wheel.simple for wheel in self._wheels)
@@ -36,12 +38,9 @@ class WheelSet:
         self._axes = tuple(component for axis in self.axes_b for component in axis)
         inertia = [wheel.inertia for wheel in self._wheels]
         self._inverse_inertia = (1.0 / inertia[0], 1.0 / inertia[1], 1.0 / inertia[2], 1.0 / inertia[3])
-        self.inbox = CommandInbox(
-            config.command_timeout_ticks, config.command_max_age_ticks, config.command_latency_ticks
-        )
-        self._tacho = [
-            (wheel.speed_noise_rad_s, open_normals(seed, unit)) for unit, wheel in zip(WHEELS, config.wheels, strict=True)
-        ] if any(wheel.speed_noise_rad_s > 0.0 for wheel in config.wheels) else []  # fmt: skip
+        noisy = any(wheel.speed_noise_rad_s > 0.0 for wheel in config.wheels)
+        units = zip(WHEELS, config.wheels, strict=True)
+        self._tacho = [(wheel.speed_noise_rad_s, open_normals(seed, unit)) for unit, wheel in units] if noisy else []
         h = []
         for wheel, axis, i in zip(config.wheels, self.axes_b, inertia, strict=True):
             spin = axis[0] * omega_bi_b_rad_s[0] + axis[1] * omega_bi_b_rad_s[1] + axis[2] * omega_bi_b_rad_s[2]
@@ -51,6 +50,7 @@ class WheelSet:
         self.speed_rad_s: Vec4 = ZERO
         self.measure_speed(omega_bi_b_rad_s)
         self.command_nm: Vec4 = ZERO
+        self.commanded = (False, False, False, False)  # nothing has come yet
         self.torque_nm: Vec4 = ZERO
         self.torque_b_nm: Vec3 = (0.0, 0.0, 0.0)
         self._reach: Vec4 = ZERO  # speeds below which the torque in hand cannot reach the limit within a step
@@ -73,9 +73,20 @@ class WheelSet:
         x, y, z = (sum(axis[j] * value for axis, value in zip(axes, per_wheel, strict=True)) for j in range(3))
         return (x, y, z)
 
-    def receive(self, commands_nm: Sequence[float | None], age_ticks: Sequence[int]) -> None:
-        """Take the command frames of this tick."""
-        command = self.inbox.receive(commands_nm, age_ticks)
+    def add_rotors(self, inertia_kgm2: Mat3) -> Mat3:
+        """Return the inertia with the rotors' own about their spin axes added: that of the body with wheels locked."""
+        m = [list(row) for row in inertia_kgm2]
+        for wheel, axis in zip(self._wheels, self.axes_b, strict=True):
+            for i in range(3):
+                for j in range(3):
+                    m[i][j] += wheel.inertia * axis[i] * axis[j]
+        return ((m[0][0], m[0][1], m[0][2]), (m[1][0], m[1][1], m[1][2]), (m[2][0], m[2][1], m[2][2]))
+
+    def receive(self, commands_nm: Sequence[float | None]) -> None:
+        """Take the torque commands of this tick [N m]; None: the wheel has none, so its motor gives no torque."""
+        a, b, c, d = commands_nm
+        self.commanded = (a is not None, b is not None, c is not None, d is not None)
+        command = (a or 0.0, b or 0.0, c or 0.0, d or 0.0)
         if command != self.command_nm:
             self.command_nm = command
             self._dirty = True
@@ -86,8 +97,7 @@ class WheelSet:
 
     def drive(self, step: int) -> None:
         """Set `torque_nm` and `torque_b_nm`, the torques on the body over the integration step `step`."""
-        if step >= self._next_look:
-            self._look(step)
+        self.look(step)
         if self._simple and not self._dirty:
             s1, s2, s3, s4 = self.speed_rad_s
             r1, r2, r3, r4 = self._reach
@@ -104,7 +114,10 @@ class WheelSet:
             self._reach = (w1.reach(), w2.reach(), w3.reach(), w4.reach())
             self._dirty = False
 
-    def _look(self, step: int) -> None:
+    def look(self, step: int) -> None:
+        """Bring the faults up to date for the integration step `step`."""
+        if step < self._next_look:
+            return
         t_s = (step + 0.5) * self._step_s
         rising = [wheel.update_faults(step, t_s) for wheel in self._wheels]
         self._next_look = step + 1 if any(rising) else min(wheel.chain.next_edge for wheel in self._wheels)
@@ -155,8 +168,8 @@ class WheelSet:
     def sample_status(self) -> tuple[int, int, int, int]:
         """Return each wheel's status: 0 ok, 2 no command, 3 speed limit."""
         a, b, c, d = (
-            NO_COMMAND if late else SPEED_LIMIT if wheel.limited else OK
-            for late, wheel in zip(self.inbox.timed_out, self._wheels, strict=True)
+            SPEED_LIMIT if wheel.limited else OK if commanded else NO_COMMAND
+            for commanded, wheel in zip(self.commanded, self._wheels, strict=True)
         )
         return (a, b, c, d)
 

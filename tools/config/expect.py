@@ -12,7 +12,8 @@ Window
     without a sample fails. A sample that is not a number (NaN) fails.
 
 Margin
-    How far the graded value is from its bound, in the bound's unit (or in seconds where a time is graded); negative: failed.
+    How far the graded value is from its bound, in the bound's unit, or in seconds where a time is graded; negative:
+    failed.
 """
 
 from __future__ import annotations
@@ -72,9 +73,9 @@ class Below:
     """signal <= bound (the signed value: write abs(...) for a magnitude).
 
     Without by_s and for_s: at every sample of the window; margin = bound - largest value.
-    With by_s and/or for_s: from some sample at t0 on, from_s <= t0 <= by_s (by_s left out: until_s), the condition holds
-    at every sample up to t0 + for_s (for_s left out: up to until_s). A hold that the window cuts short does not
-    count. Margin in seconds: by_s - earliest t0 when by_s is given, else longest hold - for_s.
+    With by_s and/or for_s: from some sample at t0 on, from_s <= t0 <= by_s (by_s left out: until_s), the condition
+    holds at every sample up to t0 + for_s (for_s left out: up to until_s). A hold that the window cuts short does
+    not count. Margin in seconds: by_s - earliest t0 when by_s is given, else longest hold - for_s.
     """
 
     __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
@@ -227,21 +228,25 @@ def check_signal(signal: str) -> list[tuple[str, str]]:
         tree = ast.parse(signal.strip(), mode="eval")
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         return [("signal", f"is not an expression: {getattr(error, 'msg', error)}")]
-    functions = {node.func.id for node in ast.walk(tree) if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)}
     problems = []
+    functions = set()
     for node in ast.walk(tree):
         if not isinstance(node, _ALLOWED_NODES):
             problems.append(("signal", f"{type(node).__name__} is not allowed; use + - * / ** [index] and functions"))
         elif isinstance(node, ast.Constant) and type(node.value) not in (int, float):
             problems.append(("signal", f"{node.value!r} is not a number"))
-        elif isinstance(node, ast.Call) and not (isinstance(node.func, ast.Name) and len(node.args) == 1):
-            problems.append(("signal", "a function is called by its name, with one argument"))
+        elif isinstance(node, ast.Call):
+            if isinstance(node.func, ast.Name) and len(node.args) == 1 and not node.keywords:
+                functions.add(node.func.id)
+            else:
+                problems.append(("signal", "a function is called by its name, with one argument"))
         elif isinstance(node, ast.Subscript) and not (
             isinstance(node.slice, ast.Constant) and type(node.slice.value) is int
         ):
             problems.append(("signal", "an index is a whole number"))
-    for name in sorted(functions - set(SIGNAL_FUNCTIONS)):
-        problems.append(("signal", f"function {name} is not known; there are: {', '.join(SIGNAL_FUNCTIONS)}"))
+    choices = ", ".join(SIGNAL_FUNCTIONS)
+    unknown = sorted(functions - set(SIGNAL_FUNCTIONS))
+    problems += [("signal", f"function {name} is not known; there are: {choices}") for name in unknown]
     if not any(isinstance(node, ast.Attribute) for node in ast.walk(tree)):
         problems.append(("signal", "names no logged signal, such as truth.attitude.error_deg"))
     return problems

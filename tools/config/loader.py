@@ -1,4 +1,4 @@
-"""A scenario file to a `Resolved`: read, merged with what it extends, overridden, checked; every problem at its place."""
+"""A scenario file to a `Resolved`: read, merged with what it extends, overridden, checked; problems at their place."""
 
 from __future__ import annotations
 

@@ -9,10 +9,11 @@ from pathlib import Path
 
 from bus.settings import KeyPath, join_key
 from tools.config.findings import Finding, Place, Source
-from tools.config.yaml_nodes import Node, read_yaml
+from tools.config.yaml_nodes import Node, read_value, read_yaml
 
 MAX_BYTES = 4 * 1024 * 1024  # a scenario is a page or two; this is somebody's log
-TAGS = ("kind", "check")  # a mapping whose tag changes is another thing: its other keys do not carry over
+# A mapping whose tag changes is another thing: its other keys do not carry over. (All kinds of fault share theirs.)
+TAGS = ("kind", "check")
 
 _KEY = re.compile(r"\.?([^.\[\]=]+)|\[(\d+)\]")
 
@@ -66,16 +67,14 @@ class Merger:
         if not equals or path is None:
             self.add(Place(source), "", "needs the form key.path=value, such as plant.wheels[0].max_torque_nm=0.2")
             return root
-        node, findings = read_yaml(Source(source.name, text, overrides=True))
-        self.findings += findings
-        place = Place(source, 1, 1)
-        value = node if node is not None else Node(None, place)
-        value.key_place = place
-        if findings or not self._place_override(root, path, value):
-            return root
+        value, findings = read_value(text, Place(source, 1, 1))
+        self.findings += [Finding(f.place, join_key(path), f.message) for f in findings]
+        if not findings:
+            value.key_place = value.place
+            self._place_override(root, path, value)
         return root
 
-    def _place_override(self, root: Node, path: KeyPath, value: Node) -> bool:
+    def _place_override(self, root: Node, path: KeyPath, value: Node) -> None:
         node = root
         for depth, key in enumerate(path[:-1]):
             child = self._child(node, key)
@@ -86,19 +85,19 @@ class Merger:
                 continue
             known = f"has {len(node.value)} entries" if isinstance(node.value, list) else "is a single value"
             self.add(value.place, join_key(path), f"cannot be set: {join_key(path[: depth or 1])} {known}")
-            return False
+            return
         last = path[-1]
         if isinstance(node.value, list):
             if not isinstance(last, int) or last >= len(node.value):
                 self.add(value.place, join_key(path), f"cannot be set: the list has {len(node.value)} entries, from 0")
-                return False
+                return
             node.value[last] = merge(node.value[last], value)
-        elif last in TAGS and str(last) in node.value and node.value[str(last)].value != value.value:
+            return
+        old = node.value.get(str(last))
+        if old is not None and last in TAGS and path[0] != "faults" and old.value != value.value:
             node.value = {str(last): value}
         else:
-            old = node.value.get(str(last))
             node.value[str(last)] = merge(old, value) if old is not None else value
-        return True
 
     @staticmethod
     def _child(node: Node, key: str | int) -> Node | None:
@@ -108,31 +107,36 @@ class Merger:
         return child
 
     def _read_text(self, name: str, wanted_at: Place | None) -> str | None:
-        try:
-            if os.path.isfile(name) and os.path.getsize(name) > MAX_BYTES:
-                return self._cannot(name, wanted_at, f"is larger than {MAX_BYTES // 1024**2} MB: not a scenario file")
-            data = Path(name).read_bytes()
-        except IsADirectoryError:
-            return self._cannot(name, wanted_at, "is a directory; name a scenario file in it")
-        except FileNotFoundError:
-            return self._cannot(name, wanted_at, "there is no such file" + _say_nearby(name))
-        except (OSError, ValueError) as error:
-            return self._cannot(name, wanted_at, f"cannot be read: {getattr(error, 'strerror', None) or error}")
-        try:
-            return data.decode("utf-8-sig")
-        except UnicodeDecodeError as error:
-            line = data.count(b"\n", 0, error.start) + 1
-            word = f"is not UTF-8 text: byte 0x{data[error.start]:02x} in line {line}; save it as UTF-8"
-            return self._cannot(name, wanted_at, word)
-
-    def _cannot(self, name: str, wanted_at: Place | None, message: str) -> None:
-        if wanted_at is None:
-            self.findings.append(Finding(Place(Source(name, "")), "", message))
-        else:
-            self.add(wanted_at, "extends", f"{name}: {message}")
+        text, complaint = read_text_file(name)
+        if complaint and wanted_at is None:
+            self.findings.append(Finding(Place(Source(name, "")), "", complaint))
+        elif complaint:
+            self.add(wanted_at, "extends", f"{name}: {complaint}")
+        return text
 
     def add(self, place: Place | None, key: str, message: str) -> None:
         self.findings.append(Finding(place or Place(self.sources[-1]), key, message))
+
+
+def read_text_file(name: str) -> tuple[str | None, str]:
+    """Text of a scenario file and '', or None and why it cannot be read."""
+    try:
+        if os.path.isfile(name) and os.path.getsize(name) > MAX_BYTES:
+            return None, f"is larger than {MAX_BYTES // 1024**2} MB: not a scenario file"
+        if os.path.exists(name) and not os.path.isfile(name) and not os.path.isdir(name):
+            return None, "is a device or pipe, not a file"
+        data = Path(name).read_bytes()
+    except IsADirectoryError:
+        return None, "is a directory; name a scenario file in it"
+    except FileNotFoundError:
+        return None, "there is no such file" + _say_nearby(name)
+    except (OSError, ValueError) as error:
+        return None, f"cannot be read: {getattr(error, 'strerror', None) or error}"
+    try:
+        return data.decode("utf-8-sig"), ""
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        return None, f"is not UTF-8 text: byte 0x{data[error.start]:02x} in line {line}; save it as UTF-8"
 
 
 def merge(base: Node, over: Node) -> Node:

@@ -1,4 +1,4 @@
-"""A scenario: one vehicle, its faults, its flight software and what the run must show. Read by tools/config/loader.py."""
+"""A scenario: one vehicle, its faults, its flight software, what the run must show. Read by tools/config/loader.py."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
 from bus.settings import BusConfig, ClockConfig, plain, run_hash
-from bus.units import Ge, Gt, Le, Seconds, Unit
+from bus.units import Ge, Gt, Seconds
 from fsw.config import FswConfig
 from plant_server.config import FaultConfig, PlantConfig
 from tools.config.expect import Expectation
@@ -25,8 +25,6 @@ class RecordConfig:
     __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
 
     compression: Literal["zstd", "lz4", "none"] = "zstd"  # of the MCAP chunks
-    chunk_kb: Annotated[int, Unit("kB"), Ge(4), Le(4096)] = 256  # largest chunk before compression
-    flush_s: Annotated[Seconds, Gt(0), Le(1)] = 0.5  # wall time after which a chunk is written, full or not
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,23 +79,32 @@ class Resolved:
 
         return str(yaml.dump(self.as_dict(), Dumper=Dumper, sort_keys=False, allow_unicode=True, width=110))
 
-    def run_dict(self) -> dict[str, Any]:
-        """What both processes are told of the run (bus.settings.RunConfig), in JSON types."""
+    def run_dict(self, address: str | None = None) -> dict[str, Any]:
+        """What both processes are told of the run (bus.settings.RunConfig), in JSON types.
+
+        address : the bus in place of the scenario's (such as the directory made for "hub:")
+        """
         item = self.scenario
+        bus = plain(item.bus)
         return {
             "name": item.name,
             "seed": item.seed,
             "duration_s": item.duration_s,
             "clock": plain(item.clock),
-            "bus": plain(item.bus),
+            "bus": bus if address is None else bus | {"address": address},
             "run_hash": self.run_hash,
         }
 
-    def plant_json(self) -> str:
-        """What the plant's process gets: {run: RunConfig, plant: PlantConfig, faults: [FaultConfig]}."""
-        part = {"run": self.run_dict(), "plant": plain(self.scenario.plant), "faults": plain(self.scenario.faults)}
+    def plant_json(self, address: str | None = None) -> str:
+        """What the plant's process gets: run, plant, faults, and the target attitude (only to log the true error)."""
+        part = {
+            "run": self.run_dict(address),
+            "plant": plain(self.scenario.plant),
+            "faults": plain(self.scenario.faults),
+            "target_q": plain(self.scenario.fsw.target_q),
+        }
         return json.dumps(part, allow_nan=False)
 
-    def fsw_json(self) -> str:
-        """What the flight software's process gets: {run: RunConfig, fsw: FswConfig}; nothing of plant or faults."""
-        return json.dumps({"run": self.run_dict(), "fsw": plain(self.scenario.fsw)}, allow_nan=False)
+    def fsw_json(self, address: str | None = None) -> str:
+        """What the flight software's process gets: run and fsw; nothing of plant or faults."""
+        return json.dumps({"run": self.run_dict(address), "fsw": plain(self.scenario.fsw)}, allow_nan=False)

@@ -10,12 +10,17 @@ import math
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from bus.settings import INVALID, KeyPath, Problem, Reading
+from bus.errors import BusLoadError
+from bus.load import check_load
+from bus.settings import KeyPath, Problem, Reading
 from bus.units import Mat3
+from plant_server.config import FaultConfig
+from plant_server.faults import check_fault
 from tools.config.expect import Expectation, check_expectation
 
 NANO = 1_000_000_000
 PERIOD_TOLERANCE = 0.01  # relative; what the algorithms themselves accept (StepSizeError)
+MAX_LATENCY_TICKS = 14  # AGE in the star tracker's frames has four bits; 15 means not valid
 SYMMETRY_TOLERANCE = 1e-9  # relative to the largest element
 
 Problems = Iterator[Problem]
@@ -24,16 +29,12 @@ Problems = Iterator[Problem]
 def check_semantics(reading: Reading) -> list[Problem]:
     """Every problem between the parts of a scenario that are each well-formed."""
     problems: list[Problem] = []
-    for check in (*CHECKS, *_other_checks()):
+    for check in CHECKS:
         for problem in check(reading.parts):
-            if not any(_same_key(problem.path, known.path) for known in [*reading.problems, *problems]):
+            follows = any(problem.path == known.path[: len(problem.path)] for known in reading.problems)
+            if not follows and not any(problem.path == known.path for known in problems):
                 problems.append(problem)
     return problems
-
-
-def _same_key(path: KeyPath, known: KeyPath) -> bool:
-    """Whether a problem is already reported there, or inside: one message for a value is enough."""
-    return path == known[: len(path)]
 
 
 # -- time ----------------------------------------------------------------------------------------------------------
@@ -67,10 +68,10 @@ def check_plant_rates(parts: dict[KeyPath, Any]) -> Problems:
         word = f"{rate_hz} Hz does not divide the tick rate of {tick_hz} Hz; near: {tick_hz / frames:g} Hz"
         yield Problem(("plant", "star_tracker", "rate_hz"), word)
     latency_s = parts.get(("plant", "star_tracker", "latency_s"))
-    if latency_s is not None and not _is_whole(latency_s * tick_hz):
-        near = round(latency_s * tick_hz) / tick_hz
-        word = f"{latency_s} s is not a whole number of ticks of {tick_s:g} s; near: {near:g} s"
-        yield Problem(("plant", "star_tracker", "latency_s"), word)
+    if latency_s is not None and (not _is_whole(latency_s * tick_hz) or round(latency_s * tick_hz) > MAX_LATENCY_TICKS):
+        near = min(round(latency_s * tick_hz), MAX_LATENCY_TICKS) / tick_hz
+        word = f"{latency_s} s is not a whole number of ticks of {tick_s:g} s, at most {MAX_LATENCY_TICKS}"
+        yield Problem(("plant", "star_tracker", "latency_s"), f"{word}; near: {near:g} s")
 
 
 def check_control_period(parts: dict[KeyPath, Any]) -> Problems:
@@ -153,14 +154,14 @@ def check_quaternions(parts: dict[KeyPath, Any]) -> Problems:
 def check_faults(parts: dict[KeyPath, Any]) -> Problems:
     duration_s = parts.get(("duration_s",))
     for index in range(_length(parts, "faults")):
-        at_s, until_s = parts.get(("faults", index, "at_s")), parts.get(("faults", index, "until_s"))
-        if at_s is None:
+        fault: FaultConfig | None = parts.get(("faults", index))
+        if fault is None:
             continue
-        if duration_s is not None and at_s >= duration_s:
-            word = f"{at_s} s is not before the end of the run, {duration_s} s: the fault would never take effect"
+        if duration_s is not None and fault.at_s >= duration_s:
+            word = f"{fault.at_s} s is not before the end of the run, {duration_s} s: the fault would never take effect"
             yield Problem(("faults", index, "at_s"), word)
-        if until_s is not None and until_s <= at_s:
-            yield Problem(("faults", index, "until_s"), f"{until_s} s is not after at_s, {at_s} s")
+        for problem in check_fault(fault):
+            yield Problem(("faults", index, *problem.path), problem.message, problem.at_key)
 
 
 def check_expectations(parts: dict[KeyPath, Any]) -> Problems:
@@ -177,6 +178,17 @@ def check_expectations(parts: dict[KeyPath, Any]) -> Problems:
         seen[item.name] = index
 
 
+def check_bus_load(parts: dict[KeyPath, Any]) -> Problems:
+    tick_hz, bitrate_bps = parts.get(("clock", "tick_hz")), parts.get(("bus", "bitrate_bps"))
+    star_hz = parts.get(("plant", "star_tracker", "rate_hz"))
+    if tick_hz is None or bitrate_bps is None or star_hz is None:
+        return
+    try:
+        check_load(tick_hz, star_hz, bitrate_bps)
+    except BusLoadError as error:
+        yield Problem(("bus", "bitrate_bps"), str(error).removeprefix("bus: "))
+
+
 def _length(parts: dict[KeyPath, Any], key: str) -> int:
     """How many entries a list has, counted by what was read of them."""
     indices = [path[1] for path in parts if len(path) > 1 and path[0] == key and isinstance(path[1], int)]
@@ -191,11 +203,5 @@ CHECKS: tuple[Callable[[dict[KeyPath, Any]], Problems], ...] = (
     check_quaternions,
     check_faults,
     check_expectations,
+    check_bus_load,
 )
-
-
-def _other_checks() -> tuple[Callable[[dict[KeyPath, Any]], Problems], ...]:
-    return ()
-
-
-__all__ = ["INVALID", "check_semantics", "explain_inertia", "principal_moments"]

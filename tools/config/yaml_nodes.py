@@ -18,6 +18,8 @@ from tools.config.findings import Finding, Place, Source
 
 MAX_NODES = 100_000  # aliases may not unfold to more than this
 
+UNREADABLE = (yaml.YAMLError, RecursionError, ValueError)
+
 _TAG = "tag:yaml.org,2002:"
 _BaseLoader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # the C parser is ten times faster, where it exists
 _WORDS = (
@@ -39,7 +41,7 @@ def _add_words(cls: Any) -> None:
         cls.add_implicit_resolver(_TAG + name, re.compile(pattern), first)
 
 
-class _Loader(_BaseLoader):
+class _Loader(_BaseLoader):  # type: ignore[misc]
     """PyYAML's parser with the words of YAML 1.2."""
 
 
@@ -95,16 +97,37 @@ def read_yaml(source: Source) -> tuple[Node | None, list[Finding]]:
     """Root node of a text, None when it is empty or cannot be parsed, and everything found wrong with it."""
     try:
         root = _compose(_Loader, source.text)
-    except (yaml.YAMLError, RecursionError, ValueError) as error:
-        try:
-            _compose(_PlainLoader, source.text)
-        except (yaml.YAMLError, RecursionError, ValueError) as better:
-            error = better
-        return None, [_explain(error, source)]
+    except UNREADABLE as error:
+        return None, [_explain(_find_better_words(source.text) or error, source)]
     if root is None:
         return None, []
     reader = _Reader(source)
     return reader.read(root, (), None), reader.findings
+
+
+def read_value(text: str, place: Place) -> tuple[Node, list[Finding]]:
+    """Node of a value given on a command line: a list, mapping or quoted text in YAML, or else one plain word.
+
+    So `hub:` is text there, not a mapping with an empty value.
+    """
+    text = text.strip()
+    if text[:1] in tuple("[{\"'"):
+        node, findings = read_yaml(Source(place.source.name, text, overrides=True))
+        return node or Node(None, place), findings
+    reader = _Reader(place.source)
+    loader = _PlainLoader("")
+    tag = loader.resolve(yaml.ScalarNode, text, (True, False))
+    start = yaml.Mark(place.source.name, 0, place.line - 1, place.column - 1, None, None)
+    return reader.read(yaml.ScalarNode(tag, text, start), (), None), reader.findings
+
+
+def _find_better_words(text: str) -> Exception | None:
+    """What the pure Python parser says about a text that the C parser refused; its marks and words are better."""
+    try:
+        _compose(_PlainLoader, text)
+    except UNREADABLE as error:
+        return error
+    return None
 
 
 def _compose(loader_class: Any, text: str) -> Any:

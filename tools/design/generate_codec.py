@@ -9,7 +9,8 @@ What the generated code is made of, and why:
   that struct itself does the range check, and `word >> 8` extends the sign.
 - `round(x / scale)` and `raw * scale` are the very operations of cantools; multiplying by 1 / scale would differ.
 - Out-of-range values leave by an exception to one slow function that clamps them: the fast path has no comparison.
-- The checksum start value of each message has the data id already in it (bus/e2e.py).
+- The checksum comes from fastcrc: 53 ns for 7 bytes, where a table of 256 bytes takes 225 ns, one table per place
+  225 ns and tables of 65536 bytes 186 ns. Its start value has the data id of the message in it (bus/e2e.py).
 - Frame header and checksum byte come as one of 256 ready-made byte strings.
 """
 

@@ -15,10 +15,12 @@ STAR_RATE_HZ = 10
 
 INTRODUCTION = """# The bus: interface control document
 
-Generated from `bus/icd.dbc` by `python -m tools.design.generate_icd_page`. Do not edit this page; edit the DBC, then run
-that and `python -m tools.design.generate_codec`.
+Generated from `bus/icd.dbc` by `python -m tools.design.generate_icd_page`. Do not edit this page: edit the DBC, then
+run that and `python -m tools.design.generate_codec`.
 
-{comment}
+The flight software and the plant know each other only through these frames: classic CAN, 11-bit ids, 8 bytes, little
+endian. On every transport a frame is a 16-byte Linux `struct can_frame`. Cycle times below hold for ticks at 100 Hz and
+a star tracker at 10 Hz; the scenario sets the real ones.
 
 Ids are shaped like CANopen's (SYNC 0x080, TIME 0x100, heartbeat 0x700 + node); the CANopen protocol is not claimed.
 
@@ -98,9 +100,10 @@ def generate_page(database: Any) -> str:
     """Text of docs/icd.md."""
     messages = sorted(database.messages, key=lambda m: m.frame_id)
     checksum, counter = messages[0].signals[:2]
-    lines = [INTRODUCTION.format(comment=database.dbc.comment if hasattr(database.dbc, "comment") else "",
-                                 checksum=checksum.comment, counter=counter.comment)]  # fmt: skip
+    lines = [INTRODUCTION.format(checksum=checksum.comment, counter=counter.comment)]
     lines += write_overview(messages)
+    lines += ["", "## Nodes", ""]
+    lines += [f"- {node.name}: {node.comment}" for node in database.nodes]
     lines += ["", "## Payloads"]
     for message in messages:
         lines += write_message(message)

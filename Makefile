@@ -1,0 +1,45 @@
+# hilsat: `make run` flies the published scenario, `make test` runs the tests. Everything lives in .venv; no root needed.
+PYTHON ?= python3
+VENV   := .venv
+BIN    := $(VENV)/bin
+STAMP  := $(VENV)/.installed
+SCENARIO ?= zhang2018
+
+.PHONY: run test test-all test-vcan lint coverage clean setup
+
+run: $(STAMP)
+	$(BIN)/hilsat run $(SCENARIO)
+
+setup: $(STAMP)
+
+$(STAMP): pyproject.toml
+	@case "$$(uname -s)" in Linux) ;; *) echo "hilsat needs Linux; on Windows use WSL, on macOS a Linux VM" >&2; exit 2;; esac
+	@command -v $(PYTHON) >/dev/null || { echo "$(PYTHON) is missing: sudo apt-get install python3 python3-venv" >&2; exit 2; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+	  echo "$(PYTHON) is older than 3.11: sudo apt-get install python3.11 python3.11-venv, then make PYTHON=python3.11" >&2; exit 2; }
+	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || { \
+	  echo "the venv module is missing: sudo apt-get install $$($(PYTHON) -c 'import sys; print("python%d.%d-venv" % sys.version_info[:2])')" >&2; exit 2; }
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check "pip>=25.1"
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e . --group dev
+	@touch $(STAMP)
+
+test: $(STAMP)
+	$(BIN)/python -m pytest -n auto -m "not slow and not vcan and not vcan_host"
+
+test-all: $(STAMP)
+	$(BIN)/python -m pytest -n auto -m "not vcan and not vcan_host"
+
+# Real AF_CAN: natively where the kernel has CAN, else in a user-mode Linux guest; fails where neither works.
+test-vcan: $(STAMP)
+	$(BIN)/hilsat vcan exec --can vcan0,vcan1 --rw . -- $(BIN)/python -m pytest -p no:cacheprovider -m vcan
+	$(BIN)/python -m pytest -m vcan_host
+
+lint: $(STAMP)
+	$(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/mypy && $(BIN)/lint-imports
+
+coverage: $(STAMP)
+	$(BIN)/python -m pytest -n auto -m "not slow and not vcan and not vcan_host" --cov --cov-report=term --cov-report=html
+
+clean:
+	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis htmlcov .coverage*

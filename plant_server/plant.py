@@ -1,0 +1,298 @@
+"""The plant: rigid body, wheels, sensors, environment and faults, advanced tick by tick. Knows no bus and no clock.
+
+    samples = plant.sample()     what the units measure at tick k
+    truth = plant.truth()        what is so at tick k, in the order of TRUTH_FIELDS
+    plant.step(commands)         tick k -> k + 1, `tick / step_s` integration steps
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from bus.attitude import IDENTITY, angle_between, normalise, rotate
+from bus.errors import ConfigError
+from bus.units import DEG, Mat3, Vec3, Vec4
+from plant_server.config import FaultConfig, PlantConfig
+from plant_server.dynamics import build_stepper, invert_symmetric, multiply_matrix
+from plant_server.environment import Environment
+from plant_server.faults import FaultEvent, FaultTimeline, check_faults, format_path
+from plant_server.gyro import Gyro, fill_preset
+from plant_server.star_tracker import StarFrame, StarTracker
+from plant_server.validation import validate
+from plant_server.wheels.wheel_set import WheelSet
+
+__all__ = ["TRUTH_FIELDS", "FaultEvent", "Plant", "Samples"]
+
+Status3 = tuple[int, int, int]
+Status4 = tuple[int, int, int, int]
+Flags3 = tuple[bool, bool, bool]
+Flags4 = tuple[bool, bool, bool, bool]
+
+INTERVAL = "mean over the tick that ended now"
+
+# group -> (name, count, unit, meaning), in the order of `Plant.truth()`
+TRUTH_FIELDS: dict[str, tuple[tuple[str, int, str, str], ...]] = {
+    "attitude": (
+        ("q_ib", 4, "", "attitude, scalar first, v_i = R(q_ib) v_b"),
+        ("omega_bi_b_rad_s", 3, "rad/s", "rate of the body with respect to inertial, body axes"),
+        ("error_deg", 1, "deg", "angle between the attitude and the target's"),
+        ("h_total_i_nms", 3, "N m s", "total angular momentum, body and wheels, inertial axes"),
+    ),
+    "wheels": (
+        ("speed_rad_s", 4, "rad/s", "rotor speeds relative to the body"),
+        ("tau_rw_true_nm", 4, "N m", f"torque of each wheel on the body about its true axis, {INTERVAL}"),
+        ("tau_rw_cmd_nm", 4, "N m", "torque command that was in effect over the tick that ended now"),
+        ("h_rw_b_nms", 3, "N m s", "spin momentum of the rotors, absolute, body axes"),
+        ("tau_fault_b_nm", 3, "N m", f"D tau_rw_true - D0 tau_rw_cmd, body axes, {INTERVAL}"),
+        ("tau_ext_b_nm", 3, "N m", f"external torque, body axes, {INTERVAL}"),
+    ),
+    "gyro": (
+        ("bias_b_rad_s", 3, "rad/s", "turn-on bias, bias instability and rate random walk in the present sample"),
+        ("fault_b_rad_s", 3, "rad/s", "what the faults add to the present sample; 0 while an axis is silent"),
+    ),
+}
+
+
+class Samples(NamedTuple):
+    """What the units report at one tick. A silent unit's values are there, but its frame must not be sent."""
+
+    tick: int
+    gyro_rate_rad_s: Vec3  # per sensing axis
+    gyro_status: Status3  # 0 ok, 2 out of range
+    gyro_silent: Flags3
+    star: StarFrame | None  # (q_ib, age_ticks); age 15: not valid; None: no frame on this tick
+    wheel_speed_rad_s: Vec4
+    wheel_current_a: Vec4
+    wheel_status: Status4  # 0 ok, 2 no command, 3 speed limit
+    wheel_silent: Flags4
+    any_silent: bool
+    events: tuple[FaultEvent, ...]  # faults that took effect or ended since the last sample
+
+
+class Plant:
+    """Truth model of one spacecraft."""
+
+    __slots__ = (
+        "_environment", "_ext_b_nm", "_gyro", "_gyroscopic", "_inertia_inverse", "_momentum", "_q_ib", "_seconds",
+        "_star", "_step", "_stepper", "_steps_per_tick", "_target_q", "_tick_s", "_timeline", "_tau_b_nm", "_tau_nm",
+        "_wheels", "_mean_rate", "_omega", "config", "tick",
+    )  # fmt: skip
+
+    def __init__(
+        self,
+        config: PlantConfig,
+        faults: tuple[FaultConfig, ...],
+        tick_s: float,
+        seed: int,
+        target_q: Vec4 = IDENTITY,
+    ) -> None:
+        """Put the plant at tick 0.
+
+        tick_s   : period of the loop [s], a whole multiple of config.step_s
+        target_q : attitude that truth's error angle is counted from, scalar first
+        Raises ConfigError with everything that is wrong with the settings and the faults.
+        """
+        problems = [f"plant{format_path(p.path)}: {p.message}" for p in validate(config, tick_s)]
+        problems += [f"faults{format_path(p.path)}: {p.message}" for p in check_faults(faults)]
+        problems += [
+            f"faults[{i}].kind: {word}" for i, fault in enumerate(faults) if (word := _find_futile(fault, config))
+        ]
+        if problems:
+            raise ConfigError(*problems)
+        self.config = config
+        self.tick = 0
+        self._step = 0
+        self._tick_s = tick_s
+        self._steps_per_tick = round(tick_s / config.step_s)
+        self._seconds = tick_s / self._steps_per_tick
+        self._target_q = normalise(target_q)
+        self._timeline = FaultTimeline(faults, step_s=self._seconds, steps_per_tick=self._steps_per_tick, seed=seed)
+        x, y, z = config.body.rate_deg_s
+        self._omega: Vec3 = (x * DEG, y * DEG, z * DEG)
+        self._q_ib = normalise(config.body.attitude_q)
+        self._wheels = WheelSet(config, self._timeline, self._omega, self._seconds, seed)
+        inertia = _symmetrise(config.body.inertia_kgm2)
+        self._inertia_inverse = invert_symmetric(inertia)
+        self._gyroscopic = config.body.wheel_gyroscopic
+        self._stepper = build_stepper(self._inertia_inverse, self._seconds)
+        self._momentum = multiply_matrix(inertia, self._omega)  # what the stepper integrates, see dynamics.py
+        if self._gyroscopic:
+            self._momentum = _add(self._momentum, self._wheels.h_b_nms)
+        self._environment = Environment(config.torques, self._wheels.add_rotors(inertia))
+        self._gyro = Gyro(config.gyro, self._timeline, tick_s, seed)
+        self._star = StarTracker(config.star_tracker, self._timeline, tick_s, seed)
+        self._mean_rate = self._omega
+        self._tau_nm: Vec4 = (0.0, 0.0, 0.0, 0.0)
+        self._tau_b_nm: Vec3 = (0.0, 0.0, 0.0)
+        self._ext_b_nm: Vec3 = (0.0, 0.0, 0.0)
+
+    # -- measuring -------------------------------------------------------------------------------------------------
+
+    def sample(self) -> Samples:
+        """Return what the units measure now. Once per tick: sensors draw their noise here."""
+        step, t_s = self._step, self.tick * self._tick_s
+        wheels, gyro = self._wheels, self._gyro
+        wheels.look(step)
+        rate = gyro.sample(self._omega if gyro.instantaneous else self._mean_rate, step, t_s)
+        x, y, z = gyro.axes
+        gyro_silent = (x.silent, y.silent, z.silent)
+        wheel_silent = wheels.sample_silent()
+        return Samples(
+            self.tick,
+            rate,
+            (x.status, y.status, z.status),
+            gyro_silent,
+            self._star.sample(self.tick, self._q_ib, self._omega, step, t_s),
+            wheels.sample_speed(),
+            wheels.sample_current(),
+            wheels.sample_status(),
+            wheel_silent,
+            True in gyro_silent or True in wheel_silent,
+            self._timeline.take_events(step),
+        )
+
+    def truth(self) -> tuple[float, ...]:
+        """Return what is so now, flat, in the order of TRUTH_FIELDS."""
+        wheels = self._wheels
+        h = wheels.h_b_nms
+        momentum = self._momentum if self._gyroscopic else _add(self._momentum, h)
+        x, y, z = self._gyro.axes
+        fx, fy, fz = wheels.combine_nominal(wheels.command_nm)
+        tx, ty, tz = self._tau_b_nm
+        return (
+            *self._q_ib,
+            *self._omega,
+            angle_between(self._target_q, self._q_ib) / DEG,
+            *rotate(self._q_ib, momentum),
+            *wheels.speed_rad_s,
+            *self._tau_nm,
+            *wheels.command_nm,
+            *h,
+            tx - fx,
+            ty - fy,
+            tz - fz,
+            *self._ext_b_nm,
+            x.bias_rad_s,
+            y.bias_rad_s,
+            z.bias_rad_s,
+            x.fault_rad_s,
+            y.fault_rad_s,
+            z.fault_rad_s,
+        )
+
+    # -- moving ----------------------------------------------------------------------------------------------------
+
+    def step(self, tau_rw_cmd_nm: Sequence[float | None]) -> None:
+        """Advance one tick with these torque commands in effect.
+
+        tau_rw_cmd_nm : torque each wheel is to put on the body about its axis [N m], shape (4,); None: it has no
+                        command, gives no motor torque and reports so
+        """
+        wheels = self._wheels
+        wheels.receive(tau_rw_cmd_nm)
+        if self._steps_per_tick == 1:
+            angle = self._advance()
+            self._tau_nm, self._tau_b_nm = wheels.torque_nm, wheels.torque_b_nm
+        else:
+            angle = self._advance_many()
+        k = 1.0 / self._tick_s
+        self._mean_rate = (angle[0] * k, angle[1] * k, angle[2] * k)
+        self.tick += 1
+
+    def _advance(self) -> Vec3:
+        """Advance one integration step; return the angle turned through about each body axis [rad]."""
+        wheels, environment, q = self._wheels, self._environment, self._q_ib
+        step = self._step
+        wheels.drive(step)
+        if environment.is_constant:
+            torque = environment.constant_b_nm
+        else:  # at mid-step, second order in the step for torques that change slowly
+            torque = environment.sum_torques((step + 0.5) * self._seconds, _half_step(q, self._omega, self._seconds))
+        self._ext_b_nm = torque
+        tx, ty, tz = wheels.torque_b_nm
+        if self._gyroscopic:
+            h = wheels.h_b_nms
+            q0, q1, q2, q3, px, py, pz, *angle = self._stepper(q, self._momentum, h, (-tx, -ty, -tz), torque)
+            wheels.spin()
+            hx, hy, hz = wheels.h_b_nms
+            spin = (px - hx, py - hy, pz - hz)
+        else:
+            torque = (torque[0] + tx, torque[1] + ty, torque[2] + tz)
+            q0, q1, q2, q3, px, py, pz, *angle = self._stepper(q, self._momentum, NOTHING, NOTHING, torque)
+            wheels.spin()
+            spin = (px, py, pz)
+        self._q_ib = (q0, q1, q2, q3)
+        self._momentum = (px, py, pz)
+        self._omega = omega = multiply_matrix(self._inertia_inverse, spin)
+        wheels.measure_speed(omega)
+        self._step = step + 1
+        return (angle[0], angle[1], angle[2])
+
+    def _advance_many(self) -> Vec3:
+        """Advance all integration steps of a tick; return the angle about each body axis and keep the means."""
+        wheels = self._wheels
+        count = self._steps_per_tick
+        ax = ay = az = ex = ey = ez = bx = by = bz = t1 = t2 = t3 = t4 = 0.0
+        for _ in range(count):
+            x, y, z = self._advance()
+            ax, ay, az = ax + x, ay + y, az + z
+            x, y, z = self._ext_b_nm
+            ex, ey, ez = ex + x, ey + y, ez + z
+            x, y, z = wheels.torque_b_nm
+            bx, by, bz = bx + x, by + y, bz + z
+            a, b, c, d = wheels.torque_nm
+            t1, t2, t3, t4 = t1 + a, t2 + b, t3 + c, t4 + d
+        self._ext_b_nm = (ex / count, ey / count, ez / count)
+        self._tau_b_nm = (bx / count, by / count, bz / count)
+        self._tau_nm = (t1 / count, t2 / count, t3 / count, t4 / count)
+        return (ax, ay, az)
+
+    # -- faults ----------------------------------------------------------------------------------------------------
+
+    def add_fault(self, fault: FaultConfig) -> int:
+        """Return the index of a fault commanded during the run; it takes effect at its at_s, at once if that is past.
+
+        Raises ConfigError when it is wrong, over already, or can have no effect on this plant.
+        """
+        if word := _find_futile(fault, self.config):
+            raise ConfigError(f"fault.kind: {word}")
+        index = self._timeline.add(fault, self._step)
+        self._wheels.look_again()
+        return index
+
+
+NOTHING: Vec3 = (0.0, 0.0, 0.0)
+
+
+def _add(a: Vec3, b: Vec3) -> Vec3:
+    return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
+
+
+def _symmetrise(m: Mat3) -> Mat3:
+    b, c, e = 0.5 * (m[0][1] + m[1][0]), 0.5 * (m[0][2] + m[2][0]), 0.5 * (m[1][2] + m[2][1])
+    return ((m[0][0], b, c), (b, m[1][1], e), (c, e, m[2][2]))
+
+
+def _half_step(q: Vec4, omega: Vec3, dt_s: float) -> Vec4:
+    """Return the attitude half a step on, first order; for torques only."""
+    q0, q1, q2, q3 = q
+    k = 0.25 * dt_s
+    x, y, z = omega[0] * k, omega[1] * k, omega[2] * k
+    return (
+        q0 - q1 * x - q2 * y - q3 * z,
+        q1 + q0 * x + q2 * z - q3 * y,
+        q2 + q0 * y + q3 * x - q1 * z,
+        q3 + q0 * z + q1 * y - q2 * x,
+    )
+
+
+def _find_futile(fault: FaultConfig, config: PlantConfig) -> str | None:
+    """Return why a fault can have no effect on this plant, whatever happens; None when it can."""
+    if fault.kind == "noise" and fault.unit.startswith("gyro") and not fill_preset(config.gyro).arw_rad_sqrt_s > 0.0:
+        preset = config.gyro.preset
+        return f"more noise has no effect: the gyro ({preset}) has no angle random walk; give gyro.arw_rad_sqrt_s"
+    if math.isclose(fault.effectiveness or 0.0, 1.0, abs_tol=1e-12):
+        return "a loss to effectiveness 1 has no effect; give less than 1"
+    return None

@@ -1,0 +1,94 @@
+"""Star tracker: attitude with noise at its own rate, late by its latency, blind when fast or near a bright body."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import NamedTuple
+
+from bus.attitude import IDENTITY, exp_map, multiply, rotate
+from bus.units import DEG, Vec3, Vec4
+from plant_server.config import StarTrackerConfig
+from plant_server.faults import STAR_TRACKER, FaultTimeline
+from plant_server.noise import open_normals
+
+ARCSEC = DEG / 3600.0  # rad per arc second
+NOT_VALID = 15  # AGE of a frame without an attitude
+
+
+class StarFrame(NamedTuple):
+    """One message of the star tracker."""
+
+    q_ib: Vec4  # measured attitude; the identity when not valid
+    age_ticks: int  # since the measurement, 0..14; NOT_VALID: the tracker is blind
+
+
+class StarTracker:
+    """Attitude sensor. A blind tracker still sends its frames, marked not valid; a dropped-out frame is never sent."""
+
+    __slots__ = (
+        "_boresight_b", "_chain", "_cos_exclusion", "_direction_i", "_draw", "_every", "_latency", "_max_rate_squared",
+        "_queue", "_sigma",
+    )  # fmt: skip
+
+    def __init__(self, config: StarTrackerConfig, timeline: FaultTimeline, dt_s: float, seed: int) -> None:
+        self._chain = timeline.chains[STAR_TRACKER]
+        self._every = round(1.0 / (config.rate_hz * dt_s))
+        self._latency = round(config.latency_s / dt_s)
+        x, y, z = config.noise_arcsec
+        self._sigma: Vec3 | None = (x * ARCSEC, y * ARCSEC, z * ARCSEC) if x or y or z else None
+        self._draw = open_normals(seed, STAR_TRACKER)
+        self._max_rate_squared = (config.max_rate_deg_s * DEG) ** 2
+        self._queue: deque[tuple[int, StarFrame]] = deque()  # tick of delivery, frame
+        exclusion = config.exclusion
+        self._boresight_b = self._direction_i = (0.0, 0.0, 1.0)
+        self._cos_exclusion = 2.0  # nothing is excluded
+        if exclusion is not None:
+            self._boresight_b = _point(exclusion.boresight_b)
+            self._direction_i = _point(exclusion.direction_i)
+            self._cos_exclusion = math.cos(exclusion.angle_deg * DEG)
+
+    def sample(self, tick: int, q_ib: Vec4, omega_bi_b_rad_s: Vec3, step: int, t_s: float) -> StarFrame | None:
+        """Return the frame that goes out on this tick, None when none does."""
+        if tick % self._every == 0 and not self._drop_out(step, t_s):
+            frame = self._measure(q_ib, omega_bi_b_rad_s)
+            if self._latency == 0:
+                return frame
+            self._queue.append((tick + self._latency, frame))
+        if self._queue and self._queue[0][0] == tick:
+            return self._queue.popleft()[1]
+        return None
+
+    def _measure(self, q_ib: Vec4, omega: Vec3) -> StarFrame:
+        if self._sigma is not None:  # drawn for every frame, so that a blind spell shifts nothing
+            x, y, z = self._sigma
+            draw = self._draw
+            error = exp_map((x * draw(), y * draw(), z * draw()))
+        if omega[0] * omega[0] + omega[1] * omega[1] + omega[2] * omega[2] > self._max_rate_squared:
+            return StarFrame(IDENTITY, NOT_VALID)
+        if self._cos_exclusion <= 1.0:
+            x, y, z = rotate(q_ib, self._boresight_b)
+            a, b, c = self._direction_i
+            if x * a + y * b + z * c > self._cos_exclusion:
+                return StarFrame(IDENTITY, NOT_VALID)
+        return StarFrame(q_ib if self._sigma is None else multiply(q_ib, error), self._latency)
+
+    def _drop_out(self, step: int, t_s: float) -> bool:
+        chain = self._chain
+        if step >= chain.next_edge:
+            chain.refresh(step)
+        lost = False
+        for fault in chain.active:
+            given = fault.config.probability
+            probability = fault.measure_level(t_s) * (1.0 if given is None else given)
+            if fault.draw is not None and fault.draw() < probability:
+                lost = True
+        if lost and self._sigma is not None:  # the frame's noise is spent all the same
+            for _ in range(3):
+                self._draw()
+        return lost
+
+
+def _point(v: Vec3) -> Vec3:
+    norm = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+    return (v[0] / norm, v[1] / norm, v[2] / norm)

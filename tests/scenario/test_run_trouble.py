@@ -1,0 +1,109 @@
+"""Trouble in the middle of a run: every death is named, ends with the right exit code, and leaves a readable log."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from tools.mcap_reader import read_run
+
+LONG = ["--set", "duration_s=3000", "--set", "expect=[]", "--no-plot", "--json", "-q"]
+MODULES = {"plant": "plant_server", "fsw": "fsw", "recorder": "tools.record"}
+
+
+@dataclass
+class LiveRun:
+    """A `hilsat run` in progress."""
+
+    popen: subprocess.Popen[str]
+    log: Path
+
+    def child(self, name: str) -> int:
+        """Process id of one of its children."""
+        for entry in Path("/proc").glob("[0-9]*"):
+            try:
+                parent = int((entry / "stat").read_text().rsplit(")", 1)[1].split()[1])
+                words = (entry / "cmdline").read_bytes().split(b"\0")
+            except (OSError, IndexError):
+                continue
+            if parent == self.popen.pid and MODULES[name].encode() in words:
+                return int(entry.name)
+        raise AssertionError(f"{name} is not running")
+
+    def finish(self) -> tuple[int, dict[str, object], str, float]:
+        """Exit code, JSON on stdout, stderr, and how long the end took [s]."""
+        started = time.monotonic()
+        out, err = self.popen.communicate(timeout=60)
+        return self.popen.returncode, json.loads(out), err, time.monotonic() - started
+
+
+@pytest.fixture
+def live_run(tmp_path: Path) -> Iterator[LiveRun]:
+    """A long lock-step run that has logged at least one second of telemetry."""
+    log = tmp_path / "run" / "run.mcap"
+    command = [sys.executable, "-P", "-m", "tools.cli", "run", "zhang2018", "--out", str(log.parent), *LONG]
+    popen = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    until = time.monotonic() + 30
+    while time.monotonic() < until and not (log.exists() and log.stat().st_size > 200_000):
+        time.sleep(0.05)
+        assert popen.poll() is None, popen.communicate()
+    yield LiveRun(popen, log)
+    popen.kill()
+    popen.wait()
+
+
+@pytest.mark.parametrize(("victim", "word"), [("plant", "plant"), ("fsw", "flight software"), ("recorder", "recorder")])
+def test_a_killed_process_is_named_within_five_seconds(live_run: LiveRun, victim: str, word: str) -> None:
+    """kill -9 of each process: exit code 3, its name in the first message, a log that reads back."""
+    os.kill(live_run.child(victim), signal.SIGKILL)
+    code, result, err, took_s = live_run.finish()
+    assert code == 3
+    assert word in err
+    assert "SIGKILL" in err
+    assert took_s < 20.0
+    run = read_run(live_run.log)
+    assert run.t_ns("/truth/attitude").size > 100
+    assert result["exit_code"] == 3
+
+
+def test_a_hanging_process_is_named(live_run: LiveRun) -> None:
+    """SIGSTOP of the flight software: the plant gives up on it by name; nothing is left running."""
+    victim = live_run.child("fsw")
+    os.kill(victim, signal.SIGSTOP)
+    code, _, err, _ = live_run.finish()
+    assert code == 3
+    assert "flight software has not ended its cycle" in err
+    assert not Path(f"/proc/{victim}").exists()
+
+
+@pytest.mark.parametrize(("number", "expected"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_an_interrupted_run_closes_its_log(live_run: LiveRun, number: int, expected: int) -> None:
+    """Ctrl-C and SIGTERM: the conventional exit code, a finished file, no process left."""
+    children = [live_run.child(name) for name in MODULES]
+    live_run.popen.send_signal(number)
+    code, _, err, _ = live_run.finish()
+    assert code == expected
+    assert "interrupted" in err
+    assert live_run.log.read_bytes().endswith(b"\x89MCAP0\r\n")
+    assert not [pid for pid in children if Path(f"/proc/{pid}").exists()]
+
+
+def test_a_killed_runner_leaves_no_process_behind(live_run: LiveRun) -> None:
+    """kill -9 of the runner itself: plant and flight software are told, and the recorder finishes the file."""
+    children = [live_run.child(name) for name in MODULES]
+    live_run.popen.kill()
+    live_run.popen.wait()
+    until = time.monotonic() + 10
+    while time.monotonic() < until and any(Path(f"/proc/{pid}").exists() for pid in children):
+        time.sleep(0.05)
+    assert not [pid for pid in children if Path(f"/proc/{pid}").exists()]
+    assert live_run.log.read_bytes().endswith(b"\x89MCAP0\r\n")

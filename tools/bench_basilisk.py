@@ -1,0 +1,66 @@
+"""The same minute on Basilisk, where it is installed: a rigid body with four reaction wheels, RK4 at 10 ms, no frames.
+
+Basilisk (AVS Lab, `pip install bsk`) is what people would take for the physics alone. It runs in one process, in C++,
+with nothing on a bus: the ratio says what the frames, the checks, the flight cycle and the log cost beside it.
+Runs in a process of its own, so that its memory and imports do not count against ours; HILSAT_BSK_PYTHON names another
+interpreter that has it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from typing import Any
+
+SECONDS = 300.0
+
+
+def compare(measure_ours: Callable[[float], dict[str, Any]]) -> dict[str, Any]:
+    """Our speed in process, Basilisk's, and the ratio."""
+    python = os.environ.get("HILSAT_BSK_PYTHON", sys.executable)
+    done = subprocess.run([python, "-P", __file__], capture_output=True, text=True, timeout=300, check=False)
+    if done.returncode:
+        return {"not measured": f"{python} has no Basilisk (pip install bsk, or set HILSAT_BSK_PYTHON)"}
+    theirs = json.loads(done.stdout.splitlines()[-1])
+    ours = measure_ours(100.0)["sim-s per cpu-s, median"]
+    return {
+        "Basilisk version": theirs["version"],
+        "Basilisk, sim-s per cpu-s": theirs["speed"],
+        "hilsat, sim-s per cpu-s": ours,
+        "hilsat / Basilisk": ours / theirs["speed"],
+    }
+
+
+def _fly_basilisk() -> dict[str, Any]:
+    """Four wheels on a rigid body for SECONDS at dt 0.01 s; CPU seconds of the run alone, without imports."""
+    import Basilisk  # type: ignore[import-not-found]
+    from Basilisk.simulation import reactionWheelStateEffector, spacecraft  # type: ignore[import-not-found]
+    from Basilisk.utilities import SimulationBaseClass, macros, simIncludeRW  # type: ignore[import-not-found]
+
+    sim = SimulationBaseClass.SimBaseClass()
+    sim.CreateNewProcess("process").addTask(sim.CreateNewTask("task", macros.sec2nano(0.01)))
+    body = spacecraft.Spacecraft()
+    body.hub.mHub = 100.0
+    body.hub.IHubPntBc_B = [[45, 3, 2], [3, 38, -1.5], [2, -1.5, 50]]
+    body.hub.omega_BN_BInit = [[0.0089], [0.0052], [0.00016]]
+    sim.AddModelToTask("task", body)
+    factory = simIncludeRW.rwFactory()
+    s = 3**-0.5
+    for axis in ([1, 0, 0], [0, 1, 0], [0, 0, 1], [s, s, s]):
+        factory.create("custom", axis, Js=0.01, Omega_max=6000.0, u_max=0.1, useMaxTorque=True)
+    effector = reactionWheelStateEffector.ReactionWheelStateEffector()
+    factory.addToSpacecraft("wheels", effector, body)
+    sim.AddModelToTask("task", effector)
+    sim.InitializeSimulation()
+    sim.ConfigureStopTime(macros.sec2nano(SECONDS))
+    started = time.process_time()
+    sim.ExecuteSimulation()
+    return {"version": Basilisk.__version__, "speed": SECONDS / (time.process_time() - started)}
+
+
+if __name__ == "__main__":
+    print(json.dumps(_fly_basilisk()))

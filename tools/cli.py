@@ -1,0 +1,96 @@
+"""The `hilsat` command. Each verb lives in a module of its own under tools/verbs or beside its subject.
+
+Data goes to stdout, progress and logs to stderr. Exit codes: 0 passed; 1 ran and was graded a fail; 2 usage or
+configuration; 3 infrastructure (bus lost, a process died, deadlines missed past the limit); 130 and 143 interrupted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import importlib.util
+import os
+import signal
+import sys
+
+from bus.errors import HilsatError, RecordError
+
+# verb -> (module with add_parser(subparsers), summary); imported only when the verb is used
+VERBS: dict[str, tuple[str, str]] = {
+    "run": ("tools.verbs.run", "run a scenario: plant, flight software, log, grade, picture"),
+    "check": ("tools.verbs.check", "validate scenario files without running them"),
+    "grade": ("tools.verbs.grade", "grade a log against the scenario it carries"),
+    "plot": ("tools.verbs.plot", "draw a log as PNG"),
+    "bench": ("tools.verbs.bench", "measure what a cycle costs on this machine"),
+    "plant": ("tools.verbs.sides", "run the plant alone, on a bus"),
+    "fsw": ("tools.verbs.sides", "run the flight software alone, on a bus"),
+    "recover": ("tools.verbs.logs", "make a killed run's log whole"),
+    "export": ("tools.verbs.logs", "write a log's signals or frames as csv, npz, candump log, asc, blf"),
+    "diff": ("tools.verbs.logs", "compare the deterministic content of two logs"),
+    "vcan": ("tools.vcan.cli", "virtual CAN interfaces, and a place to run where there are none"),
+}
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run one verb; return the exit code."""
+    words = sys.argv[1:] if argv is None else argv
+    if not sys.platform.startswith("linux"):
+        print(f"hilsat runs on Linux (this is {sys.platform}); on Windows use WSL, on macOS a Linux VM", file=sys.stderr)
+        return 2
+    hidden = _hidden_packages()
+    if hidden:
+        print(hidden, file=sys.stderr)
+        return 2
+    args = _make_parser(words).parse_args(words)
+    try:
+        return int(args.func(args))
+    except HilsatError as error:
+        print(f"hilsat: {error}", file=sys.stderr)
+        return error.exit_code
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 128 + signal.SIGPIPE
+    except KeyboardInterrupt:
+        return 130
+
+
+def _make_parser(words: list[str]) -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="hilsat",
+        description="Hardware-in-the-loop test bench for satellite attitude-control flight software.",
+        epilog="Exit codes: 0 passed, 1 graded a fail, 2 usage or configuration, 3 infrastructure.",
+    )
+    parser.add_argument("--version", action="version", version=f"hilsat {_version()}")
+    subparsers = parser.add_subparsers(metavar="VERB", required=True)
+    wanted = next((word for word in words if not word.startswith("-")), None)
+    if wanted in VERBS:
+        # Two verbs may share a module; it then adds them all.
+        importlib.import_module(VERBS[wanted][0]).add_parser(subparsers)
+    else:
+        for verb, (_, summary) in VERBS.items():
+            subparsers.add_parser(verb, help=summary)
+    return parser
+
+
+def _version() -> str:
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version("hilsat")
+    except PackageNotFoundError:
+        return "(not installed)"
+
+
+def _hidden_packages() -> str:
+    """A message when another package named bus, fsw, plant_server or tools hides ours; else empty."""
+    home = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+    for name in ("bus", "fsw", "plant_server"):
+        spec = importlib.util.find_spec(name)
+        origin = "" if spec is None or spec.origin is None else os.path.abspath(spec.origin)
+        if not origin.startswith(home + os.sep):
+            return f"hilsat: the package {name!r} that Python finds is not ours but {origin or 'missing'}; run in a venv"
+    return ""
+
+
+if __name__ == "__main__":
+    sys.exit(main())

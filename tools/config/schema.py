@@ -1,0 +1,135 @@
+"""JSON schema of scenario files, for editors: `python -P -m tools.config.schema` writes it and the reference of keys.
+
+Nothing but the top level is required, so that a file which extends another is not called incomplete while it is typed;
+`hilsat check` has the last word.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import sys
+import types
+import typing
+from pathlib import Path
+from typing import Any, Literal, Union
+
+from annotated_types import Ge, Gt, Le, Lt
+
+from bus.settings import NOTHING, fields_of, plain, strip_annotations, unit_of
+from plant_server.faults import CATALOGUE, UNITS
+from tools.config.comments import comments_of, summary_of
+from tools.config.scenario import Scenario
+
+ROOT = Path(__file__).resolve().parents[2]
+SCHEMA_FILE = ROOT / "scenarios" / "scenario.schema.json"
+LIMIT_WORDS = {Gt: "exclusiveMinimum", Ge: "minimum", Lt: "exclusiveMaximum", Le: "maximum"}
+SCALARS = {str: "string", float: "number", int: "integer", bool: "boolean"}
+
+
+def make_schema() -> dict[str, Any]:
+    """JSON schema (draft 2020-12) of a scenario file."""
+    definitions: dict[str, Any] = {}
+    top = _describe_class(Scenario, definitions)
+    top["properties"]["extends"] = {
+        "type": "string",
+        "description": "scenario that this one changes, relative to this file: mappings merge, lists replace",
+    }
+    kinds = dict.fromkeys(kind for family in CATALOGUE.values() for kind in family)
+    definitions["FaultConfig"]["properties"]["unit"]["enum"] = list(UNITS)
+    definitions["FaultConfig"]["properties"]["kind"]["enum"] = list(kinds)
+    required = [name for name, (_, default) in fields_of(Scenario).items() if default is NOTHING]
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "hilsat scenario",
+        **top,
+        "if": {"not": {"required": ["extends"]}},
+        "then": {"required": required},
+        "$defs": dict(sorted(definitions.items())),
+    }
+
+
+def format_schema() -> str:
+    """The schema as the text of its file."""
+    return json.dumps(make_schema(), indent=1, ensure_ascii=False) + "\n"
+
+
+def _describe_class(cls: type, definitions: dict[str, Any]) -> dict[str, Any]:
+    comments = comments_of(cls)
+    properties = {}
+    for name, (kind, default) in fields_of(cls).items():
+        item = _describe(kind, definitions)
+        words = [comments.get(name, ""), f"[{unit}]" if (unit := find_unit(kind)) else ""]
+        if text := " ".join(word for word in words if word):
+            item = {**item, "description": text}
+        if default is not NOTHING and default is not None and not dataclasses.is_dataclass(default):
+            item = {**item, "default": plain(default)}
+        properties[name] = item
+    return {
+        "type": "object",
+        "description": summary_of(cls),
+        "properties": properties,
+        "additionalProperties": False,
+    }
+
+
+def _describe(kind: Any, definitions: dict[str, Any]) -> dict[str, Any]:
+    kind, notes = strip_annotations(kind)
+    if typing.get_origin(kind) in (Union, types.UnionType):
+        members = [_describe(member, definitions) for member in typing.get_args(kind)]
+        return members[0] if len(members) == 1 else {"anyOf": members}
+    if kind is type(None):
+        return {"type": "null"}
+    if dataclasses.is_dataclass(kind):
+        name = typing.cast(type, kind).__name__
+        if name not in definitions:
+            definitions[name] = {}
+            definitions[name] = _describe_class(typing.cast(type, kind), definitions)
+        return {"$ref": f"#/$defs/{name}"}
+    if typing.get_origin(kind) is Literal:
+        words = list(typing.get_args(kind))
+        return {"const": words[0]} if len(words) == 1 else {"enum": words}
+    if typing.get_origin(kind) is tuple:
+        return _describe_list(typing.get_args(kind), definitions)
+    return {"type": SCALARS[kind], **_describe_limits(notes)}
+
+
+def _describe_limits(notes: tuple[Any, ...]) -> dict[str, Any]:
+    return {
+        word: getattr(note, cls.__name__.lower())
+        for note in notes
+        for cls, word in LIMIT_WORDS.items()
+        if isinstance(note, cls)
+    }
+
+
+def _describe_list(kinds: tuple[Any, ...], definitions: dict[str, Any]) -> dict[str, Any]:
+    result: dict[str, Any] = {"type": "array", "items": _describe(kinds[0], definitions)}
+    if kinds[-1] is not Ellipsis:
+        result |= {"minItems": len(kinds), "maxItems": len(kinds)}
+    return result
+
+
+def find_unit(kind: Any) -> str:
+    """Unit of a setting, through unions with None ('' when there is none)."""
+    kind, notes = strip_annotations(kind)
+    if unit := unit_of(notes):
+        return unit
+    if typing.get_origin(kind) in (Union, types.UnionType):
+        return next((unit for member in typing.get_args(kind) if (unit := find_unit(member))), "")
+    return ""
+
+
+def main() -> int:
+    """Write schema and reference; return the exit code."""
+    from tools.config.reference import REFERENCE_FILE, update_reference
+
+    SCHEMA_FILE.write_text(format_schema(), encoding="utf-8")
+    print(SCHEMA_FILE)
+    REFERENCE_FILE.write_text(update_reference(REFERENCE_FILE.read_text(encoding="utf-8")), encoding="utf-8")
+    print(REFERENCE_FILE)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

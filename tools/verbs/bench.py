@@ -1,0 +1,144 @@
+"""`hilsat bench`: what the bench costs on this machine, measured now. One CPU core, CPU time where that is the fair unit.
+
+Speeds are simulated seconds per second: of CPU for one process, of wall time for two in lock-step.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from tools.config.loader import load_scenario
+from tools.scenario_files import find_scenario
+
+SCENARIO = "zhang2018-flight"  # 100 Hz flight cycle, 100 Hz plant, noisy sensors, faults, full telemetry
+ROUNDS = 3
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the verb to the command line."""
+    parser = subparsers.add_parser("bench", help="measure what a cycle costs", description=__doc__)
+    parser.add_argument("--seconds", type=float, default=100.0, help="simulated seconds per round (default 100)")
+    parser.add_argument("--only", choices=sorted(MEASUREMENTS), action="append", help="measure just this; repeatable")
+    parser.add_argument("--json", action="store_true", help="print one JSON object on stdout")
+    parser.set_defaults(func=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure, print, return 0."""
+    results: dict[str, Any] = {"cpus": os.cpu_count(), "python": sys.version.split()[0]}
+    for name, measure in MEASUREMENTS.items():
+        if args.only and name not in args.only:
+            continue
+        print(f"measuring {name} ...", file=sys.stderr)
+        results[name] = measure(args.seconds)
+    if args.json:
+        print(json.dumps(results, allow_nan=False))
+    else:
+        for name, value in results.items():
+            print(f"{name:<12} {_format(value)}")
+    return 0
+
+
+def _format(value: Any) -> str:
+    if isinstance(value, dict):
+        return "\n             ".join(f"{key:<36} {_format(item)}" for key, item in value.items())
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _measure_in_process(seconds: float) -> dict[str, Any]:
+    """The whole loop in this process: frames encoded, checked, decoded, telemetry written to a file."""
+    from tools.inprocess import run_in_process
+
+    resolved = load_scenario(find_scenario(SCENARIO), [f"duration_s={seconds}", "clock.mode=inprocess", "expect=[]"])
+    speeds = []
+    size = 0
+    for _ in range(ROUNDS):
+        with tempfile.TemporaryDirectory(prefix="hilsat-bench-") as directory:
+            started = time.process_time()
+            report = run_in_process(resolved, Path(directory), lambda tick: None)
+            speeds.append(seconds / (time.process_time() - started))
+            size = report.log.stat().st_size
+    best = max(speeds)
+    return {
+        "scenario": f"{SCENARIO}, {seconds:g} s at {resolved.scenario.clock.tick_hz} Hz",
+        "sim-s per cpu-s, median": sorted(speeds)[len(speeds) // 2],
+        "sim-s per cpu-s, best": best,
+        "us per tick, best": 1e6 / (best * resolved.scenario.clock.tick_hz),
+        "log, bytes per tick": size / resolved.ticks,
+    }
+
+
+def _measure_lockstep(seconds: float) -> dict[str, Any]:
+    """Two processes and a recorder over the embedded bus."""
+    from tools.runner import run_processes
+
+    resolved = load_scenario(find_scenario(SCENARIO), [f"duration_s={seconds}", "clock.mode=lockstep", "expect=[]"])
+    speeds, starts, memory = [], [], []
+    for _ in range(ROUNDS):
+        with tempfile.TemporaryDirectory(prefix="hilsat-bench-") as directory:
+            report = run_processes(resolved, Path(directory), lambda tick: None)
+            if report.exit_code:
+                return {"failed": "; ".join(report.problems)}
+            first_s = report.first_cycle_s or 0.0
+            speeds.append(seconds / (report.details["running_s"]))
+            starts.append(first_s)
+            memory.append(sum(mb for name, mb in report.memory_mb.items() if name != "recorder"))
+    return {
+        "sim-s per wall-s, median": sorted(speeds)[len(speeds) // 2],
+        "sim-s per wall-s, best": max(speeds),
+        "start to first cycle, s, median": sorted(starts)[len(starts) // 2],
+        "peak memory, plant + fsw, MB": max(memory),
+    }
+
+
+def _measure_codec(seconds: float) -> dict[str, Any]:
+    """One frame, CRC and alive counter included."""
+    from bus.e2e import Link
+    from bus.icd_codec import DECODERS, encode_RW1_TLM
+
+    frames = [encode_RW1_TLM(k % 15, 0, 12.345 + k, 100, k & 0xFF)[8:] for k in range(1500)]
+    link = Link(DECODERS[0x190])
+    return {
+        "encode, us": _time(lambda k: encode_RW1_TLM(k % 15, 0, 12.345 + k, 100, k & 0xFF), 1500),
+        "check and decode, us": _time(lambda k: link.accept(frames[k]), 1500),
+    }
+
+
+def _time(call: Callable[[int], object], count: int) -> float:
+    """Best of five: microseconds per call."""
+    best = float("inf")
+    for _ in range(5):
+        started = time.perf_counter()
+        for k in range(count):
+            call(k)
+        best = min(best, time.perf_counter() - started)
+    return best / count * 1e6
+
+
+def _measure_bus(seconds: float) -> dict[str, Any]:
+    from tools.bench_bus import measure_all
+
+    return measure_all()
+
+
+def _measure_basilisk(seconds: float) -> dict[str, Any]:
+    from tools.bench_basilisk import compare
+
+    return compare(_measure_in_process)
+
+
+MEASUREMENTS: dict[str, Callable[[float], dict[str, Any]]] = {
+    "in-process": _measure_in_process,
+    "lock-step": _measure_lockstep,
+    "codec": _measure_codec,
+    "bus": _measure_bus,
+    "basilisk": _measure_basilisk,
+}

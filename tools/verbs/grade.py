@@ -1,0 +1,24 @@
+"""`hilsat grade LOG`: grade a log against the scenario it carries."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from tools.grading.grade import format_grade, grade_file, to_json
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the verb to the command line."""
+    parser = subparsers.add_parser("grade", help="grade a log", description=__doc__)
+    parser.add_argument("log", type=Path, help="MCAP file of a run")
+    parser.add_argument("--json", action="store_true", help="print one JSON object on stdout")
+    parser.set_defaults(func=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print the grade; return 0 for a pass, 1 for a fail."""
+    grade = grade_file(args.log)
+    print(to_json(grade) if args.json else format_grade(grade))
+    return 0 if grade.passed else 1

@@ -1,0 +1,99 @@
+"""`hilsat run SCENARIO`: from a scenario file to a graded log and a picture."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from bus.errors import UsageError
+from tools.config.loader import load_scenario
+from tools.config.scenario import Resolved
+from tools.runner import RunReport, print_progress, run_processes
+from tools.scenario_files import find_scenario
+
+CLOCKS = ("lockstep", "realtime", "inprocess")
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the verb to the command line."""
+    parser = subparsers.add_parser("run", help="run a scenario", description=__doc__)
+    parser.add_argument("scenario", help="scenario file, or the name of one that ships with hilsat")
+    parser.add_argument("--bus", help="bus address: hub: (default), hub:DIR, socketcan:vcan0, or INTERFACE:CHANNEL")
+    parser.add_argument("--clock", choices=CLOCKS, help="override the scenario's clock")
+    parser.add_argument("--seed", type=int, help="override the scenario's seed")
+    parser.add_argument("--duration", type=float, metavar="S", help="override the scenario's duration [s]")
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="override any key; repeatable")
+    parser.add_argument("--out", type=Path, help="directory for the log and the picture (default: runs/NAME-TIME)")
+    parser.add_argument("--no-plot", action="store_true", help="draw no picture")
+    parser.add_argument("--json", action="store_true", help="print one JSON object on stdout")
+    parser.add_argument("-q", "--quiet", action="store_true", help="no progress")
+    parser.set_defaults(func=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run, grade, draw and report; return the exit code."""
+    resolved = load_scenario(find_scenario(args.scenario), _overrides(args))
+    out_dir = _make_out_dir(args.out, resolved.scenario.name)
+    say = (lambda *_: None) if args.quiet else (lambda text: print(text, file=sys.stderr))
+    scenario = resolved.scenario
+    say(
+        f"{scenario.name}: {scenario.title}\n  {scenario.duration_s:g} s at {scenario.clock.tick_hz} Hz, "
+        f"{scenario.clock.mode}, seed {scenario.seed}"
+    )
+    on_progress = (lambda tick: None) if args.quiet else print_progress(resolved.ticks)
+    report = _execute(resolved, out_dir, on_progress)
+    if not args.quiet and sys.stderr.isatty():
+        print(file=sys.stderr)
+    return _conclude(args, resolved, report)
+
+
+def _overrides(args: argparse.Namespace) -> list[str]:
+    named = {"bus.address": args.bus, "clock.mode": args.clock, "seed": args.seed, "duration_s": args.duration}
+    return [f"{key}={value}" for key, value in named.items() if value is not None] + args.set
+
+
+def _make_out_dir(wanted: Path | None, name: str) -> Path:
+    if wanted is not None:
+        out_dir = wanted
+        if (out_dir / "run.mcap").exists():
+            raise UsageError(f"{out_dir}: there is a run.mcap in it already; name another directory with --out")
+    else:
+        stamp = f"{datetime.now(UTC):%Y%m%d-%H%M%S}"
+        base = Path("runs") / f"{name}-{stamp}"
+        out_dir, count = base, 1
+        while out_dir.exists():
+            count += 1
+            out_dir = base.with_name(f"{base.name}-{count}")
+    try:
+        out_dir.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"{out_dir}: cannot make the directory for the log: {error.strerror}; use --out") from None
+    if not os.access(out_dir, os.W_OK):
+        raise UsageError(f"{out_dir}: the directory for the log is not writable; name another one with --out")
+    return out_dir
+
+
+def _execute(resolved: Resolved, out_dir: Path, on_progress: Any) -> RunReport:
+    if resolved.scenario.clock.mode == "inprocess":
+        from tools.inprocess import run_in_process
+
+        return run_in_process(resolved, out_dir, on_progress)
+    return run_processes(resolved, out_dir, on_progress)
+
+
+def _conclude(args: argparse.Namespace, resolved: Resolved, report: RunReport) -> int:
+    from tools.conclusion import conclude
+
+    result = conclude(resolved, report, draw=not args.no_plot)
+    if args.json:
+        print(json.dumps(result.as_dict(), allow_nan=False))
+    else:
+        print(result.as_text())
+    for problem in report.problems:
+        print(f"hilsat run: {problem}", file=sys.stderr)
+    return result.exit_code

@@ -1,0 +1,91 @@
+"""`hilsat plant SCENARIO` and `hilsat fsw SCENARIO`: one side alone, to meet the other on a bus.
+
+Start them in two terminals, on one machine or on two with a CAN cable between them:
+
+    hilsat plant zhang2018 --bus hub:/tmp/bench        hilsat fsw zhang2018 --bus hub:/tmp/bench
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from bus.errors import UsageError
+from bus.settings import plain
+from tools.config.loader import load_scenario
+from tools.config.scenario import Resolved
+from tools.scenario_files import find_scenario
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add both verbs to the command line."""
+    for verb, what in (("plant", "the plant: truth, sensors, wheels"), ("fsw", "the flight software")):
+        parser = subparsers.add_parser(
+            verb, help=f"run {what}", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+        )
+        parser.add_argument("scenario", help="scenario file or shipped name; the same on both sides")
+        parser.add_argument("--bus", help="bus address: hub:DIR, socketcan:vcan0, or INTERFACE:CHANNEL")
+        parser.add_argument("--clock", choices=("lockstep", "realtime"), help="override the scenario's clock")
+        parser.add_argument("--seed", type=int, help="override the scenario's seed")
+        parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="override any key")
+        parser.add_argument("--log", type=Path, help="MCAP file for this side's telemetry (default: none)")
+        parser.set_defaults(func=run, verb=verb)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Become that side; return its exit code."""
+    named = {"bus.address": args.bus, "clock.mode": args.clock, "seed": args.seed}
+    overrides = [f"{key}={value}" for key, value in named.items() if value is not None]
+    resolved = load_scenario(find_scenario(args.scenario), overrides + args.set)
+    if resolved.scenario.bus.address == "hub:":
+        raise UsageError("two separate programs need a bus to meet on: name it with --bus, for example hub:/tmp/bench")
+    with tempfile.TemporaryDirectory(prefix="hilsat-") as directory:
+        config = Path(directory) / f"{args.verb}.json"
+        config.write_text(json.dumps(_settings(resolved, args.verb)))
+        if args.log is None:
+            return _become(args.verb, ["--config", str(config)])
+        return _run_logged(resolved, args, config)
+
+
+def _settings(resolved: Resolved, verb: str) -> dict[str, Any]:
+    scenario = resolved.scenario
+    if verb == "fsw":
+        return {"run": resolved.run_dict(), "fsw": plain(scenario.fsw)}
+    return {
+        "run": resolved.run_dict(),
+        "plant": plain(scenario.plant),
+        "faults": plain(scenario.faults),
+        "target_q": plain(scenario.fsw.target_q),
+    }
+
+
+def _become(verb: str, arguments: list[str]) -> int:
+    if verb == "fsw":
+        from fsw.__main__ import main
+    else:
+        from plant_server.__main__ import main
+    return main(arguments)
+
+
+def _run_logged(resolved: Resolved, args: argparse.Namespace, config: Path) -> int:
+    from tools.processes import make_pipe, start
+    from tools.runner import describe
+
+    source = 2 if args.verb == "fsw" else 1
+    read_end, write_end = make_pipe()
+    meta = config.with_name("meta.json")
+    meta.write_text(json.dumps(describe(resolved, resolved.scenario.bus.address)))
+    words = ["--out", str(args.log), "--meta", str(meta), "--source", f"{source}:{read_end}"]
+    recorder = start("recorder", "tools.record", words, [read_end], config.with_name("recorder.err"), orphan=True)
+    os.close(read_end)
+    try:
+        code = _become(args.verb, ["--config", str(config), "--telemetry-fd", str(write_end)])
+    finally:
+        recorder.popen.wait(10.0)
+    if recorder.code:
+        raise UsageError(recorder.words())
+    return code
