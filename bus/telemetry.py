@@ -186,6 +186,8 @@ class TelemetryLink(Link):
         self.dropped = 0
         if fd is not None:
             os.set_blocking(fd, False)
+            with contextlib.suppress(OSError):  # a link through something else than a pipe has the room it has
+                widen_pipe(fd)
 
     def announce(self, topics_json: bytes) -> None:
         self._send(HEADER.pack(MAGIC, ANNOUNCE, self._source, len(topics_json), 0, 0) + topics_json, wait=True)

@@ -19,7 +19,7 @@ class BodyConfig:
 
     __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
 
-    inertia_kgm2: Annotated[Mat3, Unit("kg m^2")]  # body axes, wheels locked; symmetric positive definite
+    inertia_kgm2: Annotated[Mat3, Unit("kg m^2")]  # body axes, without the rotors' own about their spin axes
     attitude_q: Vec4 = (1.0, 0.0, 0.0, 0.0)  # q_ib at t = 0, scalar first; normalised when read
     rate_deg_s: Annotated[Vec3, Unit("deg/s")] = (0.0, 0.0, 0.0)  # omega_bi_b at t = 0
     wheel_gyroscopic: bool = True  # False: the papers' plant, J w' = -w x J w + D tau, without the wheels' momentum
@@ -74,7 +74,7 @@ class StarTrackerConfig:
     noise_arcsec: Annotated[Vec3, Unit("arcsec")] = (0.0, 0.0, 0.0)  # 1 sigma about body x, y, z per frame
     latency_s: Annotated[Seconds, Ge(0)] = 0.0  # whole ticks; frames carry the SYNC count of the measurement
     max_rate_deg_s: Annotated[float, Unit("deg/s"), Gt(0)] = 1e6  # no attitude above this body rate
-    exclusion: "ExclusionConfig | None" = None
+    exclusion: ExclusionConfig | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -157,7 +157,7 @@ class FaultEvent(NamedTuple):
 
     tick: int  # wheels: the tick during which it bit; sensors: the first sample that shows it
     t_s: float  # start of the integration step (wheels) or the sample (sensors) of the change
-    index: int  # which fault, in the order of the scenario, then of commands
+    number: int  # which fault, in the order of the scenario, then of commands
     unit: str
     kind: str
     active: bool  # True: took effect; False: ended

@@ -245,9 +245,7 @@ class Gyro:
         r = dcm_from_quaternion(exp_map((x, y, z)))
         turned = x != 0.0 or y != 0.0 or z != 0.0
         self._sensing: Mat3 | None = tuple(zip(*r, strict=True)) if turned else None  # type: ignore[assignment]
-        self.axes = tuple(
-            GyroAxis(unit, config, axis, timeline, dt_s, seed) for axis, unit in enumerate(GYRO_AXES)
-        )
+        self.axes = tuple(GyroAxis(unit, config, axis, timeline, dt_s, seed) for axis, unit in enumerate(GYRO_AXES))
 
     def sample(self, rate_b_rad_s: Vec3, step: int, t_s: float) -> Vec3:
         """Return the rates of this tick's frames [rad/s], one per axis; see `axes` for status and silence.

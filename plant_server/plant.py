@@ -1,8 +1,7 @@
 """The plant: rigid body, wheels, sensors, environment and faults, advanced tick by tick. Knows no bus and no clock.
 
-    samples = plant.sample()     what the units measure at tick k
-    truth = plant.truth()        what is so at tick k, in the order of TRUTH_FIELDS
-    plant.step(commands)         tick k -> k + 1, `tick / step_s` integration steps
+sample: what the units measure at tick k. truth: what is so at tick k, in the order of TRUTH_FIELDS. step: from tick k to
+k + 1 in `tick / step_s` integration steps.
 """
 
 from __future__ import annotations
@@ -75,9 +74,9 @@ class Plant:
     """Truth model of one spacecraft."""
 
     __slots__ = (
-        "_environment", "_ext_b_nm", "_gyro", "_gyroscopic", "_inertia_inverse", "_momentum", "_q_ib", "_seconds",
-        "_star", "_step", "_stepper", "_steps_per_tick", "_target_q", "_tick_s", "_timeline", "_tau_b_nm", "_tau_nm",
-        "_wheels", "_mean_rate", "_omega", "config", "tick",
+        "_environment", "_ext_b_nm", "_gyro", "_gyroscopic", "_inertia_inverse", "_mean_rate", "_momentum", "_omega",
+        "_q_ib", "_seconds", "_star", "_step", "_stepper", "_steps_per_tick", "_target_q", "_tau_b_nm", "_tau_nm",
+        "_tick_s", "_timeline", "_wheels", "config", "tick",
     )  # fmt: skip
 
     def __init__(

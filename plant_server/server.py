@@ -25,7 +25,6 @@ from bus.icd_codec import (
     encode_SYNC,
     encode_TIME,
 )
-from bus.units import Vec4
 from plant_server.plant import Plant, Samples
 
 FRAME = Struct("=IB3x8s")
@@ -36,7 +35,8 @@ CYCLE_DONE_ID, HEARTBEAT_FSW_ID = 0x081, 0x702
 STATE_STOPPED, STATE_OPERATIONAL, STATE_PRE_OPERATIONAL, STATE_FAILED = 4, 5, 127, 128
 STAR_NOT_VALID = 15
 HEARTBEAT_S = 1.0
-NO_TORQUE: Vec4 = (0.0, 0.0, 0.0, 0.0)
+Torques = tuple[float | None, float | None, float | None, float | None]  # None: no command
+NO_TORQUE: Torques = (0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(slots=True)
@@ -77,7 +77,7 @@ class PlantServer:
         self._timeout_ticks = config.command_timeout_ticks
         self._max_age_ticks = config.command_max_age_ticks
         self._commands = [Command() for _ in COMMAND_IDS]
-        self._delay: deque[Vec4] = deque([NO_TORQUE] * config.command_latency_ticks)
+        self._delay: deque[Torques] = deque([NO_TORQUE] * config.command_latency_ticks)
         self.begin()
 
     def begin(self) -> None:
@@ -99,9 +99,9 @@ class PlantServer:
         counter = tick % COUNTER_PERIOD
         self.samples = samples = self.plant.sample()
         self.truth = self.plant.truth()
-        wheels = encode_rw_tlms(
-            counter, samples.wheel_status, samples.wheel_speed_rad_s, samples.wheel_current_a, sync_cnt
-        )
+        a, b, c, d = samples.wheel_current_a
+        current_ma = (a * 1e3, b * 1e3, c * 1e3, d * 1e3)
+        wheels = encode_rw_tlms(counter, samples.wheel_status, samples.wheel_speed_rad_s, current_ma, sync_cnt)
         fogs = encode_fogs(counter, samples.gyro_status, samples.gyro_rate_rad_s, sync_cnt)
         if samples.any_silent:
             wheels = _leave_out(wheels, samples.wheel_silent)
@@ -159,11 +159,14 @@ class PlantServer:
         """Let the wheels act on their commands for one tick and move the truth to the next."""
         oldest = self.tick - self._timeout_ticks
         a, b, c, d = self._commands
-        if a.tick > oldest and b.tick > oldest and c.tick > oldest and d.tick > oldest:
-            torques: Vec4 = (a.torque_nm, b.torque_nm, c.torque_nm, d.torque_nm)
-        else:
-            torques = tuple(x.torque_nm if x.tick > oldest else 0.0 for x in self._commands)  # type: ignore[assignment]
-            self.counters.timeouts += sum(x.tick <= oldest for x in self._commands)
+        torques: Torques = (
+            a.torque_nm if a.tick > oldest else None,
+            b.torque_nm if b.tick > oldest else None,
+            c.torque_nm if c.tick > oldest else None,
+            d.torque_nm if d.tick > oldest else None,
+        )
+        if None in torques:
+            self.counters.timeouts += torques.count(None)
         if self._delay:
             self._delay.append(torques)
             torques = self._delay.popleft()

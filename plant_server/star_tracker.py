@@ -27,8 +27,8 @@ class StarTracker:
     """Attitude sensor. A blind tracker still sends its frames, marked not valid; a dropped-out frame is never sent."""
 
     __slots__ = (
-        "_boresight_b", "_chain", "_cos_exclusion", "_direction_i", "_draw", "_every", "_latency", "_max_rate_squared",
-        "_queue", "_sigma",
+        "_boresight_b", "_chain", "_cos_exclusion", "_direction_i", "_draw", "_every", "_latency",
+        "_max_rate_squared", "_queue", "_sigma",
     )  # fmt: skip
 
     def __init__(self, config: StarTrackerConfig, timeline: FaultTimeline, dt_s: float, seed: int) -> None:

@@ -34,5 +34,5 @@ class PlantLog:
 
     def _announce(self, event: FaultEvent, tick: int, t_ns: int) -> None:
         phase = "onset" if event.active else "end"
-        self.link.fault(t_ns, tick, event.unit, event.kind, phase, event.magnitude, event.describe())
+        self.link.fault(t_ns, event.tick, event.unit, event.kind, phase, event.magnitude, event.describe())
         self.link.event(t_ns, "warning" if event.active else "info", "plant", f"fault {phase}: {event.describe()}")

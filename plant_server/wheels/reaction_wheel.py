@@ -13,8 +13,8 @@ class ReactionWheel:
 
     __slots__ = (
         "_coulomb", "_dt_per_inertia", "_gain", "_lag_end", "_lag_mean", "_max_speed", "_max_torque", "_offset",
-        "_settled", "_step_s", "_viscous", "chain", "inertia", "limited", "motor_constant", "motor_nm", "_unfaulted_nm",
-        "silent", "simple",
+        "_settled", "_step_s", "_unfaulted_nm", "_viscous", "chain", "inertia", "limited", "motor_constant",
+        "motor_nm", "silent", "simple",
     )  # fmt: skip
 
     def __init__(self, config: WheelConfig, chain: FaultChain, step_s: float) -> None:

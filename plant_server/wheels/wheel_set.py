@@ -19,8 +19,8 @@ class WheelSet:
     """Four wheels; `h_nms` is each rotor's absolute spin momentum, `speed_rad_s` its speed relative to the body."""
 
     __slots__ = (
-        "_axes", "_dirty", "_inverse_inertia", "_next_look", "_reach", "_simple", "_step_s", "_tacho",
-        "_wheels", "axes_b", "command_nm", "commanded", "h_b_nms", "h_nms", "nominal_axes_b", "speed_rad_s", "torque_b_nm",
+        "_axes", "_dirty", "_inverse_inertia", "_next_look", "_reach", "_simple", "_step_s", "_tacho", "_wheels",
+        "axes_b", "command_nm", "commanded", "h_b_nms", "h_nms", "nominal_axes_b", "speed_rad_s", "torque_b_nm",
         "torque_nm",
     )  # fmt: skip
 

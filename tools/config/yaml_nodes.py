@@ -115,9 +115,9 @@ def read_value(text: str, place: Place) -> tuple[Node, list[Finding]]:
         node, findings = read_yaml(Source(place.source.name, text, overrides=True))
         return node or Node(None, place), findings
     reader = _Reader(place.source)
-    loader = _PlainLoader("")
-    tag = loader.resolve(yaml.ScalarNode, text, (True, False))
-    start = yaml.Mark(place.source.name, 0, place.line - 1, place.column - 1, None, None)
+    resolver: Any = _PlainLoader("")
+    tag = resolver.resolve(yaml.ScalarNode, text, (True, False))
+    start = yaml.Mark(place.source.name, 0, place.line - 1, place.column - 1, None, 0)
     return reader.read(yaml.ScalarNode(tag, text, start), (), None), reader.findings
 
 
