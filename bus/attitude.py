@@ -76,8 +76,12 @@ def error_quaternion(q_ib: Vec4, q_it: Vec4) -> Vec4:
 
 def angle_between(p: Vec4, q: Vec4) -> float:
     """Return the angle of the rotation from one attitude to the other [rad], 0..pi, exact also near zero."""
-    e0, e1, e2, e3 = multiply(conjugate(p), q)
-    return 2.0 * math.atan2(math.sqrt(e1 * e1 + e2 * e2 + e3 * e3), abs(e0))
+    p0, p1, p2, p3 = p
+    q0, q1, q2, q3 = q
+    x = p0 * q1 - p1 * q0 - p2 * q3 + p3 * q2
+    y = p0 * q2 + p1 * q3 - p2 * q0 - p3 * q1
+    z = p0 * q3 - p1 * q2 + p2 * q1 - p3 * q0
+    return 2.0 * math.atan2(math.sqrt(x * x + y * y + z * z), abs(p0 * q0 + p1 * q1 + p2 * q2 + p3 * q3))
 
 
 def dcm_from_quaternion(q: Vec4) -> Mat3:

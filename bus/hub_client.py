@@ -113,6 +113,7 @@ class HubClient:
     def close(self) -> None:
         """Leave the bus."""
         self._sock.close()
+        self._fd = -1
 
     def _send_part(self, batch: bytes) -> None:
         try:
@@ -133,6 +134,8 @@ class HubClient:
                 self._timeout_s = timeout_s
         else:
             flags = socket.MSG_DONTWAIT
+            if self._fd < 0:
+                raise self._lost()
             if timeout_s > 0.0 and not wait_readable(self._fd, timeout_s):
                 return b""
         try:

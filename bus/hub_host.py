@@ -47,6 +47,10 @@ class HubHost:
         """Return the clients that are on the bus."""
         return self._hub.peers()
 
+    def serve(self, timeout_s: float | None = 0.0) -> None:
+        """Serve the clients without taking frames: for a host that is busy with something else for long."""
+        self._hub.pump(timeout_s)
+
     def send(self, batch: bytes) -> None:
         """Put the frames on the bus, in order. Never waits. Raises ValueError unless the batch is whole frames."""
         size = len(batch)

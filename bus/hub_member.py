@@ -54,8 +54,8 @@ class Client:
     """The hub's book on one connection."""
 
     __slots__ = (
-        "backlog", "bytes_waiting", "dropped", "fd", "filter", "flights", "kernel_bytes", "limit", "node", "passes_all", "pid",
-        "queued", "receive_own", "reported", "sock",
+        "backlog", "bytes_waiting", "dropped", "fd", "filter", "flights", "kernel_bytes", "limit", "node", "passes_all",
+        "pid", "queued", "receive_own", "reported", "sock",
     )  # fmt: skip
 
     def __init__(self, sock: socket.socket) -> None:

@@ -98,9 +98,7 @@ def pack_frames(channel: int, seq: int, t_ns: int, batch: bytes) -> bytes:
     size = len(batch)
     sec = t_ns // 1_000_000_000
     return (
-        FRAMES.pack(
-            MESSAGE, size + 38, channel, seq, t_ns, t_ns, ENCAPSULATION, sec, t_ns - sec * 1_000_000_000, size
-        )
+        FRAMES.pack(MESSAGE, size + 38, channel, seq, t_ns, t_ns, ENCAPSULATION, sec, t_ns - sec * 1_000_000_000, size)
         + batch
     )
 

@@ -55,9 +55,8 @@ def meet_plant(transport: Transport, outputs: Outputs, run_hash: int, patience_s
                 f"the plant on {transport.address} runs another scenario (run hash {heartbeat[1]:#010x}, ours is "
                 f"{run_hash:#010x}); start both sides from the same scenario file and seed"
             )
-        outputs.reset()
         transport.send(outputs.heartbeat(STATE_OPERATIONAL))
-        outputs.reset()
+        outputs.reset()  # the run's own count starts here
         return
     raise PeerLostError(
         f"no plant answered on {transport.address} within {patience_s:g} s; start `hilsat plant` with the same scenario "

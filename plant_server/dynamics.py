@@ -23,9 +23,9 @@ from collections.abc import Callable
 
 from bus.units import Mat3, Vec3, Vec4
 
-# q_ib, momentum, angle turned through about each body axis over the step
-StepResult = tuple[float, float, float, float, float, float, float, float, float, float]
-Stepper = Callable[[Vec4, Vec3, Vec3, Vec3, Vec3], StepResult]
+# attitude, momentum, wheel momentum, rate, angle turned through about each body axis over the step
+StepResult = tuple[Vec4, Vec3, Vec3, Vec3, Vec3]
+Stepper = Callable[[Vec4, Vec3, Vec3, Vec3, Vec3, Vec3], StepResult]
 
 
 def invert_symmetric(m: Mat3) -> Mat3:
@@ -57,9 +57,10 @@ def multiply_matrix(m: Mat3, v: Vec3) -> Vec3:
 def build_stepper(inertia_inverse: Mat3, dt_s: float) -> Stepper:
     """Return the function that advances attitude and momentum by one step of dt_s, fourth-order Runge-Kutta.
 
-    The function takes (q_ib, momentum_b_nms, h_b_nms, h_rate_b_nm, torque_b_nm): attitude, total angular momentum,
-    wheel momentum at the start of the step and its constant rate of change, external torque held over the step; all
-    body axes. It returns q_ib renormalised (4), momentum (3), and the angle integral of each body rate [rad] (3).
+    The function takes (q_ib, momentum_b_nms, h_b_nms, omega_bi_b_rad_s, h_rate_b_nm, torque_b_nm): attitude, total
+    angular momentum, wheel momentum and body rate at the start of the step, the constant rate of change of the wheel
+    momentum, and the external torque held over the step; all body axes. It returns the first four at the end of the
+    step, q_ib renormalised, and the integral of each body rate [rad].
 
     Stages work on g = dt/4 w, so that q + q * g is the half-step of q and P + 2 P x g that of P.
     """
@@ -67,9 +68,11 @@ def build_stepper(inertia_inverse: Mat3, dt_s: float) -> Stepper:
     (a, b, c), (_, d, e), (_, _, f) = inertia_inverse
     a, b, c, d, e, f = a * quarter, b * quarter, c * quarter, d * quarter, e * quarter, f * quarter
     half = 0.5 * dt_s
+    per_quarter = 1.0 / quarter
     third = 1.0 / 3.0
+    two_thirds = 2.0 / 3.0
 
-    def step(q: Vec4, momentum: Vec3, h: Vec3, h_rate: Vec3, torque: Vec3) -> StepResult:
+    def step(q: Vec4, momentum: Vec3, h: Vec3, omega: Vec3, h_rate: Vec3, torque: Vec3) -> StepResult:
         q0, q1, q2, q3 = q
         px, py, pz = momentum
         hx, hy, hz = h
@@ -82,12 +85,10 @@ def build_stepper(inertia_inverse: Mat3, dt_s: float) -> Stepper:
         ty *= half
         tz *= half
         # stage 1: u = increment of q over half a step, k = increment of P over half a step
-        x = px - hx
-        y = py - hy
-        z = pz - hz
-        gx = a * x + b * y + c * z
-        gy = b * x + d * y + e * z
-        gz = c * x + e * y + f * z
+        gx, gy, gz = omega
+        gx *= quarter
+        gy *= quarter
+        gz *= quarter
         u0 = -q1 * gx - q2 * gy - q3 * gz
         u1 = q0 * gx + q2 * gz - q3 * gy
         u2 = q0 * gy + q3 * gx - q1 * gz
@@ -148,9 +149,12 @@ def build_stepper(inertia_inverse: Mat3, dt_s: float) -> Stepper:
         mx = px + nx + nx
         my = py + ny + ny
         mz = pz + nz + nz
-        x = mx - hx - sx
-        y = my - hy - sy
-        z = mz - hz - sz
+        hx += sx
+        hy += sy
+        hz += sz
+        x = mx - hx
+        y = my - hy
+        z = mz - hz
         ex = a * x + b * y + c * z
         ey = b * x + d * y + e * z
         ez = c * x + e * y + f * z
@@ -161,17 +165,22 @@ def build_stepper(inertia_inverse: Mat3, dt_s: float) -> Stepper:
         q3 += third * (u3 + 2.0 * (v3 + w3) + r0 * ez + r1 * ey - r2 * ex)
         # one Newton step of 1/|q|: the norm is within 1e-9 of one after a step
         norm = 1.5 - 0.5 * (q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3)
+        px += third * (kx + 2.0 * (lx + nx + my * ez - mz * ey) + tx)
+        py += third * (ky + 2.0 * (ly + ny + mz * ex - mx * ez) + ty)
+        pz += third * (kz + 2.0 * (lz + nz + mx * ey - my * ex) + tz)
+        x = per_quarter * (px - hx)
+        y = per_quarter * (py - hy)
+        z = per_quarter * (pz - hz)
         return (
-            q0 * norm,
-            q1 * norm,
-            q2 * norm,
-            q3 * norm,
-            px + third * (kx + 2.0 * (lx + nx + my * ez - mz * ey) + tx),
-            py + third * (ky + 2.0 * (ly + ny + mz * ex - mx * ez) + ty),
-            pz + third * (kz + 2.0 * (lz + nz + mx * ey - my * ex) + tz),
-            2.0 * third * (gx + 2.0 * (ax + bx) + ex),
-            2.0 * third * (gy + 2.0 * (ay + by) + ey),
-            2.0 * third * (gz + 2.0 * (az + bz) + ez),
+            (q0 * norm, q1 * norm, q2 * norm, q3 * norm),
+            (px, py, pz),
+            (hx, hy, hz),
+            (a * x + b * y + c * z, b * x + d * y + e * z, c * x + e * y + f * z),
+            (
+                two_thirds * (gx + 2.0 * (ax + bx) + ex),
+                two_thirds * (gy + 2.0 * (ay + by) + ey),
+                two_thirds * (gz + 2.0 * (az + bz) + ez),
+            ),
         )
 
     return step

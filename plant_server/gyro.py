@@ -100,15 +100,15 @@ class GyroAxis:
     """One axis: from the true rate about the sensing axis to the rate that its frame carries."""
 
     __slots__ = (
-        "_bias_block", "_carry", "_chain", "_filter", "_filtered", "_frozen", "_gain", "_last", "_lsb", "_lsb_rate",
-        "_next", "_noise", "_range", "_turn_on", "_white_block", "bias_rad_s", "fault_rad_s", "silent", "status",
+        "_bias_block", "_carry", "_filter", "_filtered", "_frozen", "_gain", "_last", "_lsb_rate", "_next", "_noise",
+        "_range", "_turn_on", "_white_block", "bias_rad_s", "chain", "fault_rad_s", "ideal", "silent", "status",
     )  # fmt: skip
 
     def __init__(
         self, unit: str, config: GyroConfig, axis: int, timeline: FaultTimeline, dt_s: float, seed: int
     ) -> None:
         terms = fill_preset(config)
-        self._chain = timeline.chains[unit]
+        self.chain = timeline.chains[unit]
         if config.scale_factor is None:
             scale = terms.scale_factor_sigma * open_normals(seed, f"{unit}/scale_factor")()
         else:
@@ -123,8 +123,8 @@ class GyroAxis:
         self._filter = 1.0 - math.exp(-2.0 * math.pi * config.bandwidth_hz * dt_s) if config.bandwidth_hz else 1.0
         self._filtered: float | None = None
         self._range = config.range_rad_s
-        self._lsb = terms.angle_lsb_rad
         self._lsb_rate = terms.angle_lsb_rad / dt_s
+        self.ideal = not noisy and self._gain == 1.0 and self._filter == 1.0 and self._turn_on == self._lsb_rate == 0.0
         self._carry = 0.0  # integrated angle not yet given out, in quanta
         self._last = 0.0
         self._frozen = False
@@ -149,7 +149,7 @@ class GyroAxis:
             white = self._white_block[i]
             self.bias_rad_s = self._bias_block[i]
         rate += self.bias_rad_s + white
-        chain = self._chain
+        chain = self.chain
         if step >= chain.next_edge:
             chain.refresh(step)
             self.silent = self._frozen = False
@@ -158,14 +158,13 @@ class GyroAxis:
             disturbed = self._disturb(rate, white, t_s)
             self.fault_rad_s = 0.0 if self.silent else disturbed - rate
             rate = disturbed
-        return self._quantise(rate)
-
-    def _quantise(self, rate: float) -> float:
-        self.status = OK
-        if not -self._range <= rate <= self._range:
+        limit = self._range
+        if -limit <= rate <= limit:
+            self.status = OK
+        else:
             self.status = OUT_OF_RANGE
-            rate = self._range if rate > 0.0 else -self._range
-        if self._lsb and not self._frozen:
+            rate = limit if rate > 0.0 else -limit
+        if self._lsb_rate and not self._frozen:
             angle = self._carry + rate / self._lsb_rate
             quanta = round(angle)
             self._carry = angle - quanta
@@ -179,7 +178,7 @@ class GyroAxis:
 
         A larger angle random walk is part of the noise, so it comes before the others.
         """
-        active = self._chain.active
+        active = self.chain.active
         extra = 1.0
         for fault in active:
             if fault.kind == "noise":
@@ -236,26 +235,43 @@ def _shift(fault: ActiveFault, rate: float, t_s: float) -> float:
 class Gyro:
     """The triad."""
 
-    __slots__ = ("_sensing", "axes", "instantaneous")
+    __slots__ = ("_ideal", "_quiet_until", "_range", "_sensing", "axes", "instantaneous", "silent", "status")
 
     def __init__(self, config: GyroConfig, timeline: FaultTimeline, dt_s: float, seed: int) -> None:
         self.instantaneous = config.preset == "ideal"
         x, y, z = (angle * DEG for angle in config.misalignment_deg)
         # rows: sensing axes in body axes, the triad turned by the rotation vector `misalignment`
-        r = dcm_from_quaternion(exp_map((x, y, z)))
-        turned = x != 0.0 or y != 0.0 or z != 0.0
-        self._sensing: Mat3 | None = tuple(zip(*r, strict=True)) if turned else None  # type: ignore[assignment]
+        (a, b, c), (d, e, f), (g, h, i) = dcm_from_quaternion(exp_map((x, y, z)))
+        self._sensing: Mat3 | None = ((a, d, g), (b, e, h), (c, f, i)) if x or y or z else None
         self.axes = tuple(GyroAxis(unit, config, axis, timeline, dt_s, seed) for axis, unit in enumerate(GYRO_AXES))
+        self.status = (OK, OK, OK)
+        self.silent = (False, False, False)
+        self._range = config.range_rad_s
+        self._ideal = self._sensing is None and all(axis.ideal for axis in self.axes)
+        self._quiet_until = -1  # step before which no fault acts, for the short way of ideal axes
 
     def sample(self, rate_b_rad_s: Vec3, step: int, t_s: float) -> Vec3:
-        """Return the rates of this tick's frames [rad/s], one per axis; see `axes` for status and silence.
+        """Return the rates of this tick's frames [rad/s], one per axis; set `status` and `silent` of each.
 
         rate_b_rad_s : true rate, body axes: mean over the tick, instantaneous for the ideal preset
         step, t_s    : integration step and time of the tick
         """
         x, y, z = rate_b_rad_s
+        limit = self._range
+        if step < self._quiet_until and -limit <= x <= limit and -limit <= y <= limit and -limit <= z <= limit:
+            return rate_b_rad_s
         if self._sensing is not None:
             (a, b, c), (d, e, f), (g, h, i) = self._sensing
             x, y, z = a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z
         ax, ay, az = self.axes
-        return (ax.sample(x, step, t_s), ay.sample(y, step, t_s), az.sample(z, step, t_s))
+        rate = (ax.sample(x, step, t_s), ay.sample(y, step, t_s), az.sample(z, step, t_s))
+        self.status = (ax.status, ay.status, az.status)
+        self.silent = (ax.silent, ay.silent, az.silent)
+        if self._ideal:
+            clean = self.status == (OK, OK, OK) and not (ax.chain.active or ay.chain.active or az.chain.active)
+            self._quiet_until = min(axis.chain.next_edge for axis in self.axes) if clean else -1
+        return rate
+
+    def look_again(self) -> None:
+        """Note that a fault was added to one of the chains."""
+        self._quiet_until = -1

@@ -1,7 +1,6 @@
 """The plant: rigid body, wheels, sensors, environment and faults, advanced tick by tick. Knows no bus and no clock.
 
-sample: what the units measure at tick k. truth: what is so at tick k, in the order of TRUTH_FIELDS. step: from tick k to
-k + 1 in `tick / step_s` integration steps.
+`sample` gives what the units measure at tick k, `truth` what is so, `step` goes to k + 1 in tick / step_s RK4 steps.
 """
 
 from __future__ import annotations
@@ -74,9 +73,9 @@ class Plant:
     """Truth model of one spacecraft."""
 
     __slots__ = (
-        "_environment", "_ext_b_nm", "_gyro", "_gyroscopic", "_inertia_inverse", "_mean_rate", "_momentum", "_omega",
-        "_q_ib", "_seconds", "_star", "_step", "_stepper", "_steps_per_tick", "_target_q", "_tau_b_nm", "_tau_nm",
-        "_tick_s", "_timeline", "_wheels", "config", "tick",
+        "_environment", "_ext_b_nm", "_gyro", "_gyroscopic", "_mean_rate", "_momentum", "_omega", "_q_ib", "_seconds",
+        "_star", "_step", "_stepper", "_steps_per_tick", "_target_q", "_tau_b_nm", "_tau_nm", "_tick_s", "_timeline",
+        "_wheels", "config", "tick",
     )  # fmt: skip
 
     def __init__(
@@ -113,9 +112,8 @@ class Plant:
         self._q_ib = normalise(config.body.attitude_q)
         self._wheels = WheelSet(config, self._timeline, self._omega, self._seconds, seed)
         inertia = _symmetrise(config.body.inertia_kgm2)
-        self._inertia_inverse = invert_symmetric(inertia)
         self._gyroscopic = config.body.wheel_gyroscopic
-        self._stepper = build_stepper(self._inertia_inverse, self._seconds)
+        self._stepper = build_stepper(invert_symmetric(inertia), self._seconds)
         self._momentum = multiply_matrix(inertia, self._omega)  # what the stepper integrates, see dynamics.py
         if self._gyroscopic:
             self._momentum = _add(self._momentum, self._wheels.h_b_nms)
@@ -135,20 +133,18 @@ class Plant:
         wheels, gyro = self._wheels, self._gyro
         wheels.look(step)
         rate = gyro.sample(self._omega if gyro.instantaneous else self._mean_rate, step, t_s)
-        x, y, z = gyro.axes
-        gyro_silent = (x.silent, y.silent, z.silent)
-        wheel_silent = wheels.sample_silent()
+        wheel_silent = wheels.silent
         return Samples(
             self.tick,
             rate,
-            (x.status, y.status, z.status),
-            gyro_silent,
+            gyro.status,
+            gyro.silent,
             self._star.sample(self.tick, self._q_ib, self._omega, step, t_s),
             wheels.sample_speed(),
             wheels.sample_current(),
             wheels.sample_status(),
             wheel_silent,
-            True in gyro_silent or True in wheel_silent,
+            True in gyro.silent or True in wheel_silent,
             self._timeline.take_events(step),
         )
 
@@ -212,22 +208,21 @@ class Plant:
         self._ext_b_nm = torque
         tx, ty, tz = wheels.torque_b_nm
         if self._gyroscopic:
-            h = wheels.h_b_nms
-            q0, q1, q2, q3, px, py, pz, *angle = self._stepper(q, self._momentum, h, (-tx, -ty, -tz), torque)
-            wheels.spin()
-            hx, hy, hz = wheels.h_b_nms
-            spin = (px - hx, py - hy, pz - hz)
+            self._q_ib, self._momentum, h, self._omega, angle = self._stepper(
+                q, self._momentum, wheels.h_b_nms, self._omega, (-tx, -ty, -tz), torque
+            )
         else:
             torque = (torque[0] + tx, torque[1] + ty, torque[2] + tz)
-            q0, q1, q2, q3, px, py, pz, *angle = self._stepper(q, self._momentum, NOTHING, NOTHING, torque)
-            wheels.spin()
-            spin = (px, py, pz)
-        self._q_ib = (q0, q1, q2, q3)
-        self._momentum = (px, py, pz)
-        self._omega = omega = multiply_matrix(self._inertia_inverse, spin)
-        wheels.measure_speed(omega)
+            self._q_ib, self._momentum, h, self._omega, angle = self._stepper(
+                q, self._momentum, NOTHING, self._omega, NOTHING, torque
+            )
+            x, y, z = wheels.h_b_nms
+            dt = self._seconds
+            h = (x - tx * dt, y - ty * dt, z - tz * dt)
+        wheels.spin(h)
+        wheels.measure_speed(self._omega)
         self._step = step + 1
-        return (angle[0], angle[1], angle[2])
+        return angle
 
     def _advance_many(self) -> Vec3:
         """Advance all integration steps of a tick; return the angle about each body axis and keep the means."""
@@ -259,6 +254,7 @@ class Plant:
             raise ConfigError(f"fault.kind: {word}")
         index = self._timeline.add(fault, self._step)
         self._wheels.look_again()
+        self._gyro.look_again()
         return index
 
 

@@ -65,9 +65,7 @@ def _check_wheels(config: PlantConfig) -> Iterator[Problem]:
         # drag is held over a step: a step longer than the time in which it stops the rotor would not converge
         if wheel.viscous_nm_s * config.step_s > wheel.inertia_kgm2:
             most = wheel.inertia_kgm2 / config.step_s
-            word = (
-                f"{wheel.viscous_nm_s:g} N m s stops the rotor within a step of {config.step_s:g} s; at most {most:g}"
-            )
+            word = f"{wheel.viscous_nm_s:g} N m s stops the rotor in a step of {config.step_s:g} s; at most {most:g}"
             yield Problem(("wheels", i, "viscous_nm_s"), word)
 
 

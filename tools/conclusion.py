@@ -90,7 +90,7 @@ def _sum_up(run: Run, resolved: Resolved, report: RunReport) -> dict[str, Any]:
     if report.memory_mb:
         both = sum(mb for name, mb in report.memory_mb.items() if name != "recorder")
         figures["peak memory, plant + flight software"] = f"{both:.0f} MB"
-    if "/truth/attitude" in run.topics:
+    if "/truth/attitude" in run.topics and run.t_ns("/truth/attitude").size:
         error_deg = run.signals("/truth/attitude")["error_deg"]
         t_s = run.t_ns("/truth/attitude") * 1e-9
         for bound in (5.0, 1.0, 0.1, 0.01):
@@ -107,7 +107,7 @@ def _sum_up(run: Run, resolved: Resolved, report: RunReport) -> dict[str, Any]:
 
 
 def _sum_up_executive(run: Run, resolved: Resolved) -> dict[str, Any]:
-    if "/fsw/timing" not in run.topics:
+    if "/fsw/timing" not in run.topics or not run.t_ns("/fsw/timing").size:
         return {}
     timing = run.signals("/fsw/timing")
     figures: dict[str, Any] = {}

@@ -27,6 +27,7 @@ FIELD_LINE: Final = re.compile(r"(\w+)(?:\[(\d+)\])?\s+(\w+)\s*(?:#\s*(?:\[([^\]
 NUMPY_CODES: Final = {
     "float64": "<f8", "uint64": "<u8", "uint32": "<u4", "int32": "<i4", "uint8": "u1", "bool": "?",
 }  # fmt: skip
+SEQUENCE_AT: Final = 11
 ENCAPSULATION_SIZE: Final = 4
 FRAMES_AT: Final = DATA_AT + ENCAPSULATION_SIZE + 12  # behind stamp and length
 
@@ -105,6 +106,15 @@ class Run:
             stretch = self._content.stretches[number]
             offsets, sizes = stretch.table.offset[rows].tolist(), stretch.table.size[rows].tolist()
             found += [stretch.data[at + DATA_AT : at + size] for at, size in zip(offsets, sizes, strict=True)]
+        return found
+
+    def sequences(self, topic: str) -> list[int]:
+        """Sequence number of every record of the topic: the tick, for what is written once a tick."""
+        found = []
+        for number, rows in self._find_rows(topic):
+            stretch = self._content.stretches[number]
+            at = [offset + SEQUENCE_AT for offset in stretch.table.offset[rows].tolist()]
+            found += [int.from_bytes(stretch.data[start : start + 4], "little") for start in at]
         return found
 
     def frames(self, bus: str | None = None) -> NDArray[Any]:

@@ -93,7 +93,8 @@ class McapWriter:
         writer = cls.__new__(cls)
         writer._start(Path(path), "r+b", "zstd")
         try:
-            summary = SeekingReader(writer._file).get_summary()
+            with open(path, "rb") as reading:  # the reader closes an unbuffered file that it is given
+                summary = SeekingReader(reading).get_summary()
             writer._file.seek(-(len(MCAP_MAGIC) + 20), os.SEEK_END)
             start = int.from_bytes(writer._file.read(8), "little")
         except (McapError, OSError) as error:
@@ -277,4 +278,3 @@ def format_records(*records: McapRecord) -> bytes:
         record.write(builder)
     laid_down: bytes = builder.end()  # type: ignore[no-untyped-call]
     return laid_down
-

@@ -148,7 +148,7 @@ def _parse_source(text: str) -> tuple[int, int]:
 
 def _read_meta(path: Path) -> dict[str, Any]:
     try:
-        given = json.loads(path.read_text())
+        given: dict[str, Any] = json.loads(path.read_text())
     except (OSError, ValueError) as error:
         raise UsageError(f"--meta {path}: cannot be read as JSON: {error}") from None
     return {"metadata": {}, "attachments": [], "realtime": False} | given

@@ -22,7 +22,7 @@ from typing import Any
 
 from bus.settings import plain
 from tools.config.scenario import Resolved
-from tools.processes import Process, make_pipe, memory_mb, start, stop
+from tools.processes import Process, make_pipe, memory_mb, share_processor, start, stop
 from tools.provenance import describe_run, list_attachments
 
 POLL_S = 0.1
@@ -136,6 +136,8 @@ class _Supervisor:
         finally:
             for fd in (plant_in, plant_out, fsw_in, fsw_out):
                 os.close(fd)
+        if scenario.clock.mode == "lockstep":
+            share_processor(plant_process, fsw)
         return [plant_process, fsw, recorder]
 
     # -- watching --------------------------------------------------------------------------------------------------

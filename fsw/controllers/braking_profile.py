@@ -53,3 +53,5 @@ def find_authority(t_x: float, t_y: float, t_z: float, limit_nm: Vec4) -> float:
         if m * weight > room and weight > 0.0:
             m = room / weight
     return m
+
+

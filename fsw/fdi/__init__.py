@@ -7,9 +7,11 @@ from typing import Any
 
 from fsw.config import ModelConfig
 from fsw.fdi.none import NoDetector
+from fsw.fdi.practical import PracticalDetector
 from fsw.interfaces import Detector
 
 # kind in the settings -> factory(config, model, tick_s)
 REGISTRY: dict[str, Callable[[Any, ModelConfig, float], Detector]] = {
     "none": NoDetector,
+    "practical": PracticalDetector,
 }

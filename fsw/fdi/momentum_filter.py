@@ -7,8 +7,6 @@ disturb this rate. The star tracker corrects attitude, momentum and a slow exter
 
 from __future__ import annotations
 
-import math
-
 from bus.units import Mat3, Vec3, Vec4
 from fsw.estimation.rotation import conjugate, multiply, normalise, rotation_vector, turn
 from fsw.fdi.ts_model import invert
@@ -24,10 +22,9 @@ _GYRO_PULL_RAD_S = 0.5  # without frames a trusted gyro pulls the momentum at th
 class MomentumFilter:
     """Attitude, rate and external torque from star tracker and wheel momentum alone."""
 
-    def __init__(self, inertia_kgm2: Mat3, tick_s: float, bandwidth_rad_s: float, gyroscopic: bool) -> None:
+    def __init__(self, inertia_kgm2: Mat3, bandwidth_rad_s: float, gyroscopic: bool) -> None:
         """gyroscopic: the wheels' momentum turns with the body (False: the papers' plant, where it does not)."""
         self._j, self._j_inv = inertia_kgm2, invert(inertia_kgm2)
-        self._tick_s = tick_s
         self._bandwidth = bandwidth_rad_s
         self._gyroscopic = gyroscopic
         self.reset()
@@ -55,10 +52,10 @@ class MomentumFilter:
         p, h = self._p, h_rw_b_nms
         return _times(self._j_inv, (p[0] - h[0], p[1] - h[1], p[2] - h[2]))
 
-    def propagate(self, h_rw_b_nms: Vec3) -> None:
-        """Carry the state over one tick (midpoint rule) with the wheel momentum of its end, body axes [N m s]."""
+    def propagate(self, h_rw_b_nms: Vec3, dt_s: float) -> None:
+        """Carry the state over dt_s (midpoint rule) with the wheel momentum of its end, body axes [N m s]."""
         self._h = h = h_rw_b_nms
-        p, d, dt = self._p, self._torque, self._tick_s
+        p, d, dt = self._p, self._torque, dt_s
         w = self.read_rate(h)
         t = self._turn_rate(w, p)
         half = 0.5 * dt
@@ -98,19 +95,15 @@ class MomentumFilter:
         self.since_frame_s = 0.0
         return True
 
-    def follow_gyro(self, error_b_rad_s: Vec3) -> None:
+    def follow_gyro(self, error_b_rad_s: Vec3, dt_s: float) -> None:
         """Without a star tracker: pull the momentum after trusted gyro axes, error = gyro - this rate [rad/s]."""
-        k = _GYRO_PULL_RAD_S * self._tick_s
+        k = min(1.0, _GYRO_PULL_RAD_S * dt_s)
         jx, jy, jz = _times(self._j, error_b_rad_s)
         p, d = self._p, self._torque
         self._p = (p[0] + k * jx, p[1] + k * jy, p[2] + k * jz)
-        fade = max(0.0, 1.0 - self._tick_s / _TORQUE_MEMORY_S)
+        fade = max(0.0, 1.0 - dt_s / _TORQUE_MEMORY_S)
         self._torque = (fade * d[0], fade * d[1], fade * d[2])
         self.omega_bi_b_rad_s = self.read_rate(self._h)
-
-    def is_finite(self) -> bool:
-        """Return whether the state is still numbers; it restarts where it is not."""
-        return math.isfinite(sum(self._p) + sum(self._torque) + sum(self.q_ib))
 
     def _turn_rate(self, w: Vec3, p: Vec3) -> Vec3:
         """-w x p, of the body's own momentum only where the wheels are not gyroscopic."""

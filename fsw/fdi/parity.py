@@ -97,11 +97,11 @@ class Parity:
             s[3] + d * dt_s, s[4] + e * dt_s, s[5] + f * dt_s,
             s[6] + g * dt_s, s[7] + h * dt_s, s[8] + i * dt_s,
         )  # fmt: skip
-        p, q, r = coast_b_rad_s
+        wx, wy, wz = coast_b_rad_s
         t = self._turned
-        self._turned = (t[0] + abs(p) * dt_s, t[1] + abs(q) * dt_s, t[2] + abs(r) * dt_s)
+        self._turned = (t[0] + abs(wx) * dt_s, t[1] + abs(wy) * dt_s, t[2] + abs(wz) * dt_s)
         k = self._coast
-        self._coast = (k[0] + p * dt_s, k[1] + q * dt_s, k[2] + r * dt_s)
+        self._coast = (k[0] + wx * dt_s, k[1] + wy * dt_s, k[2] + wz * dt_s)
 
     def mark(self, tick: int) -> Mark:
         """Return the integration as it stands, labelled with a tick."""

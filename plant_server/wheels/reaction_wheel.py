@@ -13,14 +13,14 @@ class ReactionWheel:
 
     __slots__ = (
         "_coulomb", "_dt_per_inertia", "_gain", "_lag_end", "_lag_mean", "_max_speed", "_max_torque", "_offset",
-        "_settled", "_step_s", "_unfaulted_nm", "_viscous", "chain", "inertia", "limited", "motor_constant",
-        "motor_nm", "silent", "simple",
+        "_settled", "_step_s", "_unfaulted_nm", "_viscous", "ampere_per_nm", "chain", "inertia", "limited",
+        "motor_nm", "reach", "silent", "simple",
     )  # fmt: skip
 
     def __init__(self, config: WheelConfig, chain: FaultChain, step_s: float) -> None:
         self.chain = chain
         self.inertia = config.inertia_kgm2
-        self.motor_constant = config.motor_constant_nm_a
+        self.ampere_per_nm = 1.0 / config.motor_constant_nm_a
         self._max_torque = config.max_torque_nm
         self._max_speed = config.max_speed_rad_s
         self._viscous = config.viscous_nm_s
@@ -38,6 +38,7 @@ class ReactionWheel:
         self._unfaulted_nm = 0.0  # lagged torque at the end of the last step
         self.motor_nm = 0.0  # torque of the motor over the last step, faults included
         self.limited = False  # at its speed limit
+        self.reach = -1.0  # up to this speed [rad/s] the torque in hand cannot take the rotor to its limit in a step
         self.silent = False
 
     def update_faults(self, step: int, t_s: float) -> bool:
@@ -70,14 +71,12 @@ class ReactionWheel:
         if (speed_after > limit and motor < 0.0) or (speed_after < -limit and motor > 0.0):
             motor = 0.0
             self.limited = True
+            self.reach = -1.0
         else:
             self.limited = False
+            self.reach = limit - abs(motor) * self._dt_per_inertia
         self.motor_nm = motor
         return motor if self.simple else motor + self._drag(motor, speed_rad_s)
-
-    def reach(self) -> float:
-        """Return the speed [rad/s] below which the torque in hand stays within the speed limit for another step."""
-        return -1.0 if self.limited else self._max_speed - abs(self.motor_nm) * self._dt_per_inertia
 
     def _drag(self, motor_nm: float, speed_rad_s: float) -> float:
         """Return the drag torque on the body [N m]: viscous, and dry friction that stops the rotor but never turns it.

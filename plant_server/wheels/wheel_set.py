@@ -11,6 +11,8 @@ from plant_server.noise import open_normals
 from plant_server.wheels.axes import nominal_axis, true_axis
 from plant_server.wheels.reaction_wheel import ReactionWheel
 
+ALL = (True, True, True, True)
+ALL_OK = (0, 0, 0, 0)
 ZERO: Vec4 = (0.0, 0.0, 0.0, 0.0)
 OK, NO_COMMAND, SPEED_LIMIT = 0, 2, 3  # STATUS of the wheel telemetry frame; 1, fault, is never known to the unit
 
@@ -19,9 +21,9 @@ class WheelSet:
     """Four wheels; `h_nms` is each rotor's absolute spin momentum, `speed_rad_s` its speed relative to the body."""
 
     __slots__ = (
-        "_axes", "_dirty", "_inverse_inertia", "_next_look", "_reach", "_simple", "_step_s", "_tacho", "_wheels",
-        "axes_b", "command_nm", "commanded", "h_b_nms", "h_nms", "nominal_axes_b", "speed_rad_s", "torque_b_nm",
-        "torque_nm",
+        "_axes", "_dirty", "_inverse_inertia", "_next_look", "_nominal_axes", "_reach", "_simple", "_step_s",
+        "_tacho", "_wheels", "axes_b", "command_nm", "commanded", "h_b_nms", "h_nms", "silent", "speed_rad_s",
+        "torque_b_nm", "torque_nm",
     )  # fmt: skip
 
     def __init__(
@@ -34,8 +36,8 @@ class WheelSet:
         )
         self._simple = all(wheel.simple for wheel in self._wheels)
         self.axes_b = tuple(true_axis(w.mount, w.tilt_deg, w.clock_deg) for w in config.wheels)
-        self.nominal_axes_b = tuple(nominal_axis(w.mount) for w in config.wheels)
         self._axes = tuple(component for axis in self.axes_b for component in axis)
+        self._nominal_axes = tuple(component for w in config.wheels for component in nominal_axis(w.mount))
         inertia = [wheel.inertia for wheel in self._wheels]
         self._inverse_inertia = (1.0 / inertia[0], 1.0 / inertia[1], 1.0 / inertia[2], 1.0 / inertia[3])
         noisy = any(wheel.speed_noise_rad_s > 0.0 for wheel in config.wheels)
@@ -50,6 +52,7 @@ class WheelSet:
         self.speed_rad_s: Vec4 = ZERO
         self.measure_speed(omega_bi_b_rad_s)
         self.command_nm: Vec4 = ZERO
+        self.silent = (False, False, False, False)  # which wheels send no telemetry
         self.commanded = (False, False, False, False)  # nothing has come yet
         self.torque_nm: Vec4 = ZERO
         self.torque_b_nm: Vec3 = (0.0, 0.0, 0.0)
@@ -69,9 +72,13 @@ class WheelSet:
 
     def combine_nominal(self, per_wheel: Vec4) -> Vec3:
         """Return D0 per_wheel: body vector of a quantity about the nominal axes, in its unit."""
-        axes = self.nominal_axes_b
-        x, y, z = (sum(axis[j] * value for axis, value in zip(axes, per_wheel, strict=True)) for j in range(3))
-        return (x, y, z)
+        a, b, c, d = per_wheel
+        ax, ay, az, bx, by, bz, cx, cy, cz, dx, dy, dz = self._nominal_axes
+        return (
+            ax * a + bx * b + cx * c + dx * d,
+            ay * a + by * b + cy * c + dy * d,
+            az * a + bz * b + cz * c + dz * d,
+        )
 
     def add_rotors(self, inertia_kgm2: Mat3) -> Mat3:
         """Return the inertia with the rotors' own about their spin axes added: that of the body with wheels locked."""
@@ -97,21 +104,20 @@ class WheelSet:
 
     def drive(self, step: int) -> None:
         """Set `torque_nm` and `torque_b_nm`, the torques on the body over the integration step `step`."""
-        self.look(step)
-        if self._simple and not self._dirty:
-            s1, s2, s3, s4 = self.speed_rad_s
+        if step >= self._next_look:
+            self.look(step)
+        s1, s2, s3, s4 = self.speed_rad_s
+        if not self._dirty and self._simple:
             r1, r2, r3, r4 = self._reach
             if -r1 < s1 < r1 and -r2 < s2 < r2 and -r3 < s3 < r3 and -r4 < s4 < r4:
                 return
-        wheels = self._wheels
         c1, c2, c3, c4 = self.command_nm
-        s1, s2, s3, s4 = self.speed_rad_s
-        w1, w2, w3, w4 = wheels
+        w1, w2, w3, w4 = self._wheels
         torque = (w1.drive(c1, s1), w2.drive(c2, s2), w3.drive(c3, s3), w4.drive(c4, s4))
         if self._dirty or torque != self.torque_nm:
             self.torque_nm = torque
             self.torque_b_nm = self.combine(torque)
-            self._reach = (w1.reach(), w2.reach(), w3.reach(), w4.reach())
+            self._reach = (w1.reach, w2.reach, w3.reach, w4.reach)
             self._dirty = False
 
     def look(self, step: int) -> None:
@@ -119,17 +125,19 @@ class WheelSet:
         if step < self._next_look:
             return
         t_s = (step + 0.5) * self._step_s
-        rising = [wheel.update_faults(step, t_s) for wheel in self._wheels]
-        self._next_look = step + 1 if any(rising) else min(wheel.chain.next_edge for wheel in self._wheels)
+        wheels = a, b, c, d = self._wheels
+        rising = [wheel.update_faults(step, t_s) for wheel in wheels]
+        self._next_look = step + 1 if any(rising) else min(wheel.chain.next_edge for wheel in wheels)
+        self.silent = (a.silent, b.silent, c.silent, d.silent)
         self._dirty = True
 
-    def spin(self) -> None:
-        """Advance the rotors' momentum by one step with the torque that `drive` set."""
+    def spin(self, h_b_nms: Vec3) -> None:
+        """Advance the rotors' momentum by one step with the torque that `drive` set; h_b_nms is its sum by then."""
         a, b, c, d = self.h_nms
         t1, t2, t3, t4 = self.torque_nm
         dt = self._step_s
-        self.h_nms = h = (a - t1 * dt, b - t2 * dt, c - t3 * dt, d - t4 * dt)
-        self.h_b_nms = self.combine(h)
+        self.h_nms = (a - t1 * dt, b - t2 * dt, c - t3 * dt, d - t4 * dt)
+        self.h_b_nms = h_b_nms
 
     def measure_speed(self, omega_bi_b_rad_s: Vec3) -> None:
         """Set the speeds relative to a body that turns at omega."""
@@ -159,21 +167,19 @@ class WheelSet:
         """Return the motor currents over the last step [A]: motor torque, drag not included, over motor constant."""
         a, b, c, d = self._wheels
         return (
-            a.motor_nm / a.motor_constant,
-            b.motor_nm / b.motor_constant,
-            c.motor_nm / c.motor_constant,
-            d.motor_nm / d.motor_constant,
+            a.motor_nm * a.ampere_per_nm,
+            b.motor_nm * b.ampere_per_nm,
+            c.motor_nm * c.ampere_per_nm,
+            d.motor_nm * d.ampere_per_nm,
         )
 
     def sample_status(self) -> tuple[int, int, int, int]:
         """Return each wheel's status: 0 ok, 2 no command, 3 speed limit."""
-        a, b, c, d = (
+        wheels = a, b, c, d = self._wheels
+        if self.commanded == ALL and not (a.limited or b.limited or c.limited or d.limited):
+            return ALL_OK
+        states = [
             SPEED_LIMIT if wheel.limited else OK if commanded else NO_COMMAND
-            for commanded, wheel in zip(self.commanded, self._wheels, strict=True)
-        )
-        return (a, b, c, d)
-
-    def sample_silent(self) -> tuple[bool, bool, bool, bool]:
-        """Return which wheels send no telemetry."""
-        a, b, c, d = self._wheels
-        return (a.silent, b.silent, c.silent, d.silent)
+            for commanded, wheel in zip(self.commanded, wheels, strict=True)
+        ]
+        return (states[0], states[1], states[2], states[3])

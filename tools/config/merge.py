@@ -28,13 +28,14 @@ class Merger:
     def read_file(self, path: str | Path, wanted_at: Place | None = None, chain: tuple[str, ...] = ()) -> Node | None:
         """Tree of a file and of all it extends. `wanted_at`: where another file names it."""
         name = os.fspath(path)
-        if os.path.realpath(name) in chain:
-            self.add(wanted_at, "extends", f"{name} extends itself, by way of {' -> '.join(chain)}")
-            return None
         text = self._read_text(name, wanted_at)
         if text is None:
             return None
-        return self.read_text(Source(name, text), (*chain, os.path.realpath(name)))
+        real = os.path.realpath(name)
+        if real in chain:
+            self.add(wanted_at, "extends", f"{name} extends itself, by way of {' -> '.join(chain)}")
+            return None
+        return self.read_text(Source(name, text), (*chain, real))
 
     def read_text(self, source: Source, chain: tuple[str, ...] = ()) -> Node | None:
         """Tree of a text and of all it extends."""

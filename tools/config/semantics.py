@@ -52,8 +52,14 @@ def check_clock(parts: dict[KeyPath, Any]) -> Problems:
         yield Problem(("duration_s",), word)
 
 
+def _find_tick_hz(parts: dict[KeyPath, Any]) -> int | None:
+    """Tick rate, where it is one that other times can be compared with."""
+    tick_hz: int | None = parts.get(("clock", "tick_hz"))
+    return None if tick_hz is None or NANO % tick_hz else tick_hz
+
+
 def check_plant_rates(parts: dict[KeyPath, Any]) -> Problems:
-    tick_hz = parts.get(("clock", "tick_hz"))
+    tick_hz = _find_tick_hz(parts)
     if tick_hz is None:
         return
     tick_s = 1 / tick_hz
@@ -75,7 +81,7 @@ def check_plant_rates(parts: dict[KeyPath, Any]) -> Problems:
 
 
 def check_control_period(parts: dict[KeyPath, Any]) -> Problems:
-    tick_hz, divider = parts.get(("clock", "tick_hz")), parts.get(("fsw", "executive", "control_divider"))
+    tick_hz, divider = _find_tick_hz(parts), parts.get(("fsw", "executive", "control_divider"))
     if tick_hz is None or divider is None:
         return
     for family in ("observer", "controller", "allocator", "detector"):

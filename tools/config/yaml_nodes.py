@@ -235,7 +235,7 @@ def _explain(error: Exception, source: Source) -> Finding:
     if isinstance(error, yaml.reader.ReaderError):
         before = source.text[: error.position]
         place = Place(source, before.count("\n") + 1, len(before) - before.rfind("\n"))
-        return Finding(place, "", f"character U+{ord(str(error.character)[0]):04X} is not allowed in YAML")
+        return Finding(place, "", f"character U+{int(error.character):04X} is not allowed in YAML")
     if isinstance(error, RecursionError):
         return Finding(Place(source), "", "is nested too deeply")
     mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
