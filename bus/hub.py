@@ -290,6 +290,8 @@ class Hub:
                 self._remove(strangers[0])
             if len(self._clients) >= MAX_CLIENTS:
                 self.refused += 1
+                with contextlib.suppress(OSError):
+                    sock.send(pack_control(refused=f"it has {MAX_CLIENTS} nodes, and room for no more"), _SEND_FLAGS)
                 sock.close()
                 continue
             sock.setblocking(False)

@@ -216,10 +216,8 @@ class HubClient:
             "filters": None if filters is None else list(filters),
         }
         self._fd = self._sock.fileno()
-        try:
+        with contextlib.suppress(OSError):  # a hub that hung up has perhaps said why
             self._sock.send(pack_control(hello=hello), _SEND_FLAGS)
-        except OSError:
-            raise self._lost() from None
         while not self.host:
             left_s = deadline - time.monotonic()
             datagram = self._receive(left_s) if left_s > 0.0 else b""

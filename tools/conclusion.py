@@ -122,6 +122,6 @@ def _sum_up_executive(run: Run, resolved: Resolved) -> dict[str, Any]:
         )
         slips = int(run.signals("/fsw/executive")["slips"][-1])
         figures["cycle slips"] = slips
-        notes = [event["message"] for event in run.events if "scheduling" in event["message"]]
+        notes = [event["message"].removeprefix("scheduling: ") for event in run.events if "SCHED_" in event["message"]]
         figures["scheduling"] = "; ".join(sorted(set(notes))) or "unknown"
     return figures

@@ -14,6 +14,7 @@ from tools.mcap_reader import Run
 
 MAX_POINTS = 4000  # per line; more cannot be seen
 AXES = ("x", "y", "z")
+ONSET, END = "#c1121f", "#588157"
 COLOURS = ("#0b6fb8", "#d1495b", "#3a8f4d", "#8d6cab")
 
 
@@ -36,8 +37,7 @@ def draw_run(run: Run, resolved: Resolved, path: Path) -> Path:
     axes[3].set_xlabel("simulated time [s]")
     for axis in axes:
         axis.grid(alpha=0.3)
-        for record in run.faults:
-            _mark_fault(axis, record, label=axis is axes[0])
+    _mark_faults(axes, run.faults)
     try:
         figure.savefig(path, dpi=110)
     except OSError as error:
@@ -89,13 +89,18 @@ def _draw_fault_torque(axis: Any, run: Run) -> None:
     axis.legend(loc="upper right", ncols=6, fontsize=7)
 
 
-def _mark_fault(axis: Any, record: dict[str, Any], label: bool) -> None:
-    t_s = record["timestamp"]["sec"] + record["timestamp"]["nsec"] * 1e-9
-    onset = record["phase"] == "onset"
-    axis.axvline(t_s, color="#c1121f" if onset else "#588157", lw=0.8, ls="-" if onset else "--", alpha=0.7)
-    if label:
-        text = f"{record['unit']} {record['fault'] if onset else 'heals'}"
-        axis.annotate(
-            text, (t_s, 1.0), xycoords=("data", "axes fraction"), rotation=90, fontsize=6.5, va="top", ha="right",
-            xytext=(-1, -2), textcoords="offset points",
+def _mark_faults(axes: Any, records: list[dict[str, Any]]) -> None:
+    """A line for every onset (solid) and end (dashed); one label a moment, above the top panel."""
+    moments: dict[float, list[dict[str, Any]]] = {}
+    for record in records:
+        t_s = record["timestamp"]["sec"] + record["timestamp"]["nsec"] * 1e-9
+        moments.setdefault(t_s, []).append(record)
+    for t_s, happening in moments.items():
+        onset = any(record["phase"] == "onset" for record in happening)
+        for axis in axes:
+            axis.axvline(t_s, color=ONSET if onset else END, lw=0.8, ls="-" if onset else "--", alpha=0.7)
+        words = [f"{r['unit']} {r['fault'] if r['phase'] == 'onset' else 'ends'}" for r in happening]
+        axes[0].annotate(
+            "\n".join(words), (t_s, 0.02), xycoords=("data", "axes fraction"), rotation=90, fontsize=6, va="bottom",
+            ha="left", xytext=(1, 0), textcoords="offset points", linespacing=1.0,
         )  # fmt: skip

@@ -92,8 +92,8 @@ def stop(processes: Sequence[Process], patience_s: float = TERM_PATIENCE_S) -> N
 def share_processor(*processes: Process) -> None:
     """Put processes that wait for each other in turn on one processor.
 
-    They never run at the same time, and waking a processor that has gone to sleep costs more than a whole tick: measured
-    on a virtual machine, 0.3 ms a tick apart against 0.05 ms together (docs/decisions/0002-one-processor.md).
+    They never run at the same time, and waking a processor that has gone to sleep costs more than a whole tick: see
+    docs/decisions/0002-one-processor.md for the measurement.
     """
     allowed = sorted(os.sched_getaffinity(0))
     chosen = {allowed[os.getpid() % len(allowed)]}

@@ -26,6 +26,7 @@ from tools.processes import Process, make_pipe, memory_mb, share_processor, star
 from tools.provenance import describe_run, list_attachments
 
 POLL_S = 0.1
+END_POLL_S = 0.005
 GRACE_S = 6.0  # after one process ended, how long the others may take to notice by themselves
 STILL_S = 12.0  # without progress, everything is taken to hang
 
@@ -143,14 +144,9 @@ class _Supervisor:
     # -- watching --------------------------------------------------------------------------------------------------
 
     def _watch(self, processes: list[Process], progress_in: int) -> None:
-        plant, fsw, _ = processes
-        poller = select.poll()
-        poller.register(progress_in, select.POLLIN)
-        for process in processes:
-            poller.register(os.pidfd_open(process.popen.pid), select.POLLIN)
+        plant = processes[0]
         ended_s: float | None = None
         while any(process.code is None for process in processes):
-            poller.poll(POLL_S * 1000)
             self._read_progress(progress_in, processes)
             now_s = time.monotonic()
             bad = [process for process in processes if process.code not in (None, 0)]
@@ -158,16 +154,18 @@ class _Supervisor:
                 ended_s = ended_s or now_s
                 if now_s - ended_s > GRACE_S:
                     break
-                time.sleep(0.01)
             elif now_s - self._last_progress_s > STILL_S:
                 self._report.problems.append(f"nothing moved for {STILL_S:g} s at tick {self._report.ticks}")
                 break
         self._judge(processes)
 
     def _read_progress(self, fd: int, processes: list[Process]) -> None:
-        if not select.select([fd], [], [], 0)[0]:
+        if not select.select([fd], [], [], POLL_S)[0]:
             return
-        self._buffer += os.read(fd, 65536)
+        data = os.read(fd, 65536)
+        if not data:  # the plant has closed its end: nothing more to wait for here
+            time.sleep(END_POLL_S)
+        self._buffer += data
         *lines, self._buffer = self._buffer.split(b"\n")
         for line in lines:
             what = json.loads(line)

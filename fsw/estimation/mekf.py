@@ -11,9 +11,10 @@ import math
 from collections import deque
 from typing import NamedTuple
 
+from bus.attitude import conjugate, dcm_from_quaternion, log_map, multiply, normalise
 from bus.units import Mat3, Vec3, Vec4
 from fsw.config import MekfConfig, ModelConfig
-from fsw.estimation.rotation import conjugate, multiply, normalise, rotation_matrix, rotation_vector, turn
+from fsw.estimation.rotation import turn
 from fsw.interfaces import Estimate, Sensors
 
 _ARCSEC = math.pi / 648000.0  # rad per second of arc
@@ -68,7 +69,7 @@ class Mekf:
         self._q: Vec4 = (1.0, 0.0, 0.0, 0.0)
         self._bias: Vec3 = (0.0, 0.0, 0.0)
         self._total: Vec4 = (1.0, 0.0, 0.0, 0.0)  # product of all corrections, inertial side
-        self._rotation: Mat3 = rotation_matrix(self._q)
+        self._rotation: Mat3 = dcm_from_quaternion(self._q)
         self._since = 0  # ticks since the covariance was last carried forward
         self._dead_ticks = 0  # of those, how many with a gyro axis missing
         self._refused_in_a_row = 0
@@ -118,7 +119,7 @@ class Mekf:
         late = sensors.star_age_s
         wx, wy, wz = omega_b_rad_s
         self._q = turn(normalise(sensors.q_ib_meas), wx * late, wy * late, wz * late)
-        self._rotation = rotation_matrix(self._q)
+        self._rotation = dcm_from_quaternion(self._q)
         self._history.clear()
         self._history.append((self._q, self._total))
         self._since = self._dead_ticks = self._refused_in_a_row = 0
@@ -138,7 +139,7 @@ class Mekf:
             return
         duration = self._since * self._tick_s
         self._q = normalise(self._q)
-        now = rotation_matrix(self._q)
+        now = dcm_from_quaternion(self._q)
         self._shift_covariance(self._rotation, now, -0.5 * duration)
         self._rotation = now
         dead = self._dead_ticks * self._tick_s * _DEAD_AXIS_RATE_RAD_S
@@ -191,7 +192,7 @@ class Mekf:
         then, total_then = self._history[-1 - ticks]
         if total_then is not self._total:
             then = multiply(multiply(self._total, conjugate(total_then)), then)
-        nu = rotation_vector(multiply(normalise(sensors.q_ib_meas), conjugate(then)))
+        nu = log_map(multiply(normalise(sensors.q_ib_meas), conjugate(then)))
         rotation = self._rotation
         if ticks:
             self._step_back(late_s)
@@ -295,7 +296,7 @@ class Mekf:
         self._total = normalise(multiply(correction, self._total))
         b = self._bias
         self._bias = (b[0] + bias_b_rad_s[0], b[1] + bias_b_rad_s[1], b[2] + bias_b_rad_s[2])
-        self._rotation = rotation_matrix(self._q)
+        self._rotation = dcm_from_quaternion(self._q)
         self._history[-1] = (self._q, self._total)
         self._fit = max(self._ptt[0], self._ptt[3], self._ptt[5]) < _VALID_SIGMA_RAD**2
 

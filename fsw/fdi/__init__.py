@@ -8,10 +8,12 @@ from typing import Any
 from fsw.config import ModelConfig
 from fsw.fdi.none import NoDetector
 from fsw.fdi.practical import PracticalDetector
+from fsw.fdi.wang2010 import Wang2010Detector
 from fsw.interfaces import Detector
 
 # kind in the settings -> factory(config, model, tick_s)
 REGISTRY: dict[str, Callable[[Any, ModelConfig, float], Detector]] = {
     "none": NoDetector,
     "practical": PracticalDetector,
+    "wang2010": Wang2010Detector,
 }

@@ -6,8 +6,9 @@ learn a gyro fault as bias before it is found.
 
 from __future__ import annotations
 
+from bus.attitude import conjugate, log_map, multiply, normalise
 from bus.units import Vec3, Vec4
-from fsw.estimation.rotation import conjugate, multiply, normalise, rotation_vector, turn
+from fsw.estimation.rotation import turn
 
 _ATTITUDE_RATE = 0.08  # [1/s]: 0.02 per frame at 4 Hz
 _BIAS_RATE = 4e-4  # [1/s^2]: 1e-4 per frame at 4 Hz
@@ -32,7 +33,7 @@ class GyroStellarFilter:
     def correct(self, q_ib_meas: Vec4, since_last_s: float) -> None:
         """Use a star-tracker attitude of this tick, `since_last_s` after the one before."""
         age = min(since_last_s, _MAX_FRAME_AGE_S)
-        x, y, z = rotation_vector(multiply(conjugate(self.q_ib), q_ib_meas))
+        x, y, z = log_map(multiply(conjugate(self.q_ib), q_ib_meas))
         k_q, k_b = _ATTITUDE_RATE * age, _BIAS_RATE * age
         self.q_ib = normalise(turn(self.q_ib, k_q * x, k_q * y, k_q * z))
         b = self.bias_b_rad_s

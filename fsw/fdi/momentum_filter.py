@@ -1,14 +1,15 @@
 """Rate without a gyro: total momentum from wheel speeds and star tracker.
 
-The body's rate follows from its total momentum, w = J^-1 (p - D0 h), and the momentum of a free body changes only by the
-turn of the axes. Wheel torques, faulty or not, move momentum between wheels and body and so cancel: no wheel fault can
-disturb this rate. The star tracker corrects attitude, momentum and a slow external torque.
+The body's rate follows from its total momentum, w = J^-1 (p - D0 h), and the momentum of a free body changes only by
+the turn of the axes. Wheel torques, faulty or not, move momentum between wheels and body and so cancel: no wheel fault
+can disturb this rate. The star tracker corrects attitude, momentum and a slow external torque.
 """
 
 from __future__ import annotations
 
+from bus.attitude import conjugate, log_map, multiply, normalise
 from bus.units import Mat3, Vec3, Vec4
-from fsw.estimation.rotation import conjugate, multiply, normalise, rotation_vector, turn
+from fsw.estimation.rotation import turn
 from fsw.fdi.ts_model import invert
 
 _ZERO: Vec3 = (0.0, 0.0, 0.0)
@@ -78,7 +79,7 @@ class MomentumFilter:
             self.since_frame_s = 0.0
             self._in_a_row = 0
             return True
-        x, y, z = rotation_vector(multiply(conjugate(self.q_ib), q_ib_meas))
+        x, y, z = log_map(multiply(conjugate(self.q_ib), q_ib_meas))
         if max(abs(x), abs(y), abs(z)) > _GATE_RAD + _GATE_RATE_RAD_S * age and self._in_a_row < _GLITCHES_IN_A_ROW:
             self._in_a_row += 1
             self.glitches += 1

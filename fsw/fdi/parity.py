@@ -9,12 +9,14 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from bus.attitude import conjugate, dcm_from_quaternion, log_map, multiply, normalise
 from bus.units import Mat3, Vec3, Vec4
-from fsw.estimation.rotation import conjugate, multiply, normalise, rotation_matrix, rotation_vector, turn
+from fsw.estimation.rotation import turn
 
 _IDENTITY: Vec4 = (1.0, 0.0, 0.0, 0.0)
 _ZERO9 = (0.0,) * 9
 _ZERO: Vec3 = (0.0, 0.0, 0.0)
+Flags3 = tuple[bool, bool, bool]  # one per axis
 Sum9 = tuple[float, ...]  # integral of R(q_g), row by row [s]
 
 
@@ -90,7 +92,7 @@ class Parity:
         """
         x, y, z = rate_b_rad_s
         self._q = q = normalise(turn(self._q, x * dt_s, y * dt_s, z * dt_s))
-        (a, b, c), (d, e, f), (g, h, i) = rotation_matrix(q)
+        (a, b, c), (d, e, f), (g, h, i) = dcm_from_quaternion(q)
         s = self._lever
         self._lever = (
             s[0] + a * dt_s, s[1] + b * dt_s, s[2] + c * dt_s,
@@ -107,7 +109,7 @@ class Parity:
         """Return the integration as it stands, labelled with a tick."""
         return Mark(tick, self._q, self._lever, self._turned, self._coast)
 
-    def test(self, frame: Frame, suspect: tuple[bool, bool, bool], excluded: tuple[bool, bool, bool]) -> list[ParityHit]:
+    def test(self, frame: Frame, suspect: Flags3, excluded: Flags3) -> list[ParityHit]:
         """Add a star-tracker frame; return the axes found faulty in the shortest window that finds any.
 
         An axis is faulty beyond `sigma` in two frames running of one window with one sign, or beyond `suspect_sigma`
@@ -132,7 +134,7 @@ class Parity:
         return hits
 
     def _judge(
-        self, window: int, statistics: Vec3, suspect: tuple[bool, bool, bool], excluded: tuple[bool, bool, bool]
+        self, window: int, statistics: Vec3, suspect: Flags3, excluded: Flags3
     ) -> list[ParityHit]:
         hits = []
         for axis in (0, 1, 2):
@@ -154,9 +156,9 @@ class Parity:
         duration = (end.mark.tick - start.mark.tick) * self._tick_s
         star_turn = multiply(conjugate(start.q_st), end.q_st)
         gyro_turn = multiply(conjugate(start.mark.q_g), end.mark.q_g)
-        phi = rotation_vector(multiply(conjugate(star_turn), gyro_turn))
+        phi = log_map(multiply(conjugate(star_turn), gyro_turn))
         fx, fy, fz = _solve(_lever_between(start.mark, end.mark), phi)
-        (a, b, c), (d, e, f), (g, h, i) = rotation_matrix(star_turn)
+        (a, b, c), (d, e, f), (g, h, i) = dcm_from_quaternion(star_turn)
         walk = healthy.arw_rad_sqrt_s**2 * duration
         t0, t1 = start.mark.turned_rad, end.mark.turned_rad
         allowed = healthy.bias_max_rad_s * duration + healthy.scale_max * max(
@@ -185,14 +187,20 @@ def interpolate(before: Mark, after: Mark, tick: int) -> Mark:
     if tick <= before.tick:
         return before
     k = (tick - before.tick) / (after.tick - before.tick)
-    x, y, z = rotation_vector(multiply(conjugate(before.q_g), after.q_g))
-    mix = [tuple(p + k * (q - p) for p, q in zip(u, v, strict=True)) for u, v in zip(before[2:], after[2:], strict=True)]
-    return Mark(tick, turn(before.q_g, k * x, k * y, k * z), mix[0], mix[1], mix[2])  # type: ignore[arg-type]
+    x, y, z = log_map(multiply(conjugate(before.q_g), after.q_g))
+    lever = _mix(before.lever, after.lever, k)
+    turned = _mix(before.turned_rad, after.turned_rad, k)
+    coast = _mix(before.coast_rad, after.coast_rad, k)
+    return Mark(tick, turn(before.q_g, k * x, k * y, k * z), lever, turned, coast)  # type: ignore[arg-type]
+
+
+def _mix(before: tuple[float, ...], after: tuple[float, ...], k: float) -> tuple[float, ...]:
+    return tuple([p + k * (q - p) for p, q in zip(before, after, strict=True)])
 
 
 def _lever_between(start: Mark, end: Mark) -> Mat3:
     """G = R(q_g,end)' integral R(q_g) dt: constant rate error (body axes) to rotation error at the end [s]."""
-    (a, b, c), (d, e, f), (g, h, i) = rotation_matrix(end.q_g)
+    (a, b, c), (d, e, f), (g, h, i) = dcm_from_quaternion(end.q_g)
     p, q = start.lever, end.lever
     m00, m01, m02 = q[0] - p[0], q[1] - p[1], q[2] - p[2]
     m10, m11, m12 = q[3] - p[3], q[4] - p[4], q[5] - p[5]

@@ -11,9 +11,10 @@ import math
 from collections import deque
 from typing import NamedTuple
 
+from bus.attitude import conjugate, log_map, multiply, normalise
 from bus.units import Vec3, Vec4
 from fsw.config import ModelConfig, PracticalDetectorConfig
-from fsw.estimation.rotation import conjugate, multiply, normalise, rotation_vector, turn
+from fsw.estimation.rotation import turn
 from fsw.fdi.classification import Classifier, FaultKind, Verdict
 from fsw.fdi.cycle_inputs import CycleCollector, CycleInputs
 from fsw.fdi.gyro_stellar import GyroStellarFilter
@@ -114,9 +115,15 @@ class PracticalDetector:
 
     def reset(self) -> None:
         """Forget everything; the next star-tracker frame starts the detector again."""
-        for part in (self._collector, self._gyroless, self._stellar, self._parity, self._plausibility,
-                     self._bound, self._wheels, *self._axes):  # fmt: skip
-            part.reset()
+        self._collector.reset()
+        self._gyroless.reset()
+        self._stellar.reset()
+        self._parity.reset()
+        self._plausibility.reset()
+        self._bound.reset()
+        self._wheels.reset()
+        for axis in self._axes:
+            axis.reset()
         for classifier in self._classifiers:
             classifier.start()
         self._observer.reset(_ZERO)
@@ -325,7 +332,7 @@ class PracticalDetector:
 
         An estimator that follows the gyro learns a fault as bias; it must unlearn it before it is used again.
         """
-        q = rotation_vector(multiply(conjugate(self._stellar.q_ib), estimate.q_ib))
+        q = log_map(multiply(conjugate(self._stellar.q_ib), estimate.q_ib))
         b, c = estimate.bias_b_rad_s, self._stellar.bias_b_rad_s
         agrees = (
             estimate.valid

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from bus.units import Vec4
 
+Flags4 = tuple[bool, bool, bool, bool]  # one per wheel
 _ZERO: Vec4 = (0.0, 0.0, 0.0, 0.0)
 _RELEASE = 0.5  # an alarm ends once the residual is below this part of the threshold ...
 _RELEASE_S = 5.0  # ... for this long
@@ -27,7 +28,7 @@ class WheelMonitor:
         self._quiet = [0, 0, 0, 0]
         self._alarm = [False, False, False, False]
 
-    def step(self, h_rw_nms: Vec4, tau_rw_cmd_nm: Vec4, valid: tuple[bool, bool, bool, bool]) -> tuple[bool, ...]:
+    def step(self, h_rw_nms: Vec4, tau_rw_cmd_nm: Vec4, valid: Flags4) -> Flags4:
         """Return the alarm of each wheel, given momentum now and mean torque commanded over the tick that ends now.
 
         A wheel whose speed is not known keeps its residual.
@@ -47,4 +48,5 @@ class WheelMonitor:
                 if self._quiet[i] > self._release_ticks:
                     self._alarm[i] = False
         self.residual_nm = (residual[0], residual[1], residual[2], residual[3])
-        return tuple(self._alarm)
+        a, b, c, d = self._alarm
+        return (a, b, c, d)

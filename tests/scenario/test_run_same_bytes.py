@@ -13,7 +13,7 @@ import pytest
 
 from tools.mcap_reader import read_run
 
-SHORT = ["--set", "duration_s=20", "--set", "expect=[]", "--no-plot", "--json", "-q"]
+SHORT = ["--set", "duration_s=101", "--set", "expect=[]", "--no-plot", "--json", "-q"]
 
 
 def fly(out: Path, *words: str, scenario: str = "zhang2018", hash_seed: str = "0") -> dict[str, Any]:

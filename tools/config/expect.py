@@ -23,6 +23,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal
 
 from bus.units import Ge, Gt, NonNegative, Positive, Seconds
+from tools.config.signals import check_names
 
 STRICT: dict[str, Any] = {"extra": "forbid", "allow_inf_nan": False}
 
@@ -223,7 +224,7 @@ _ALLOWED_NODES = (
 
 
 def check_signal(signal: str) -> list[tuple[str, str]]:
-    """What is wrong with the form of a signal expression: (key, message) for each. Names are known only after a run."""
+    """What is wrong with a signal expression: (key, message) for each."""
     try:
         tree = ast.parse(signal.strip(), mode="eval")
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
@@ -249,4 +250,4 @@ def check_signal(signal: str) -> list[tuple[str, str]]:
     problems += [("signal", f"function {name} is not known; there are: {choices}") for name in unknown]
     if not any(isinstance(node, ast.Attribute) for node in ast.walk(tree)):
         problems.append(("signal", "names no logged signal, such as truth.attitude.error_deg"))
-    return problems
+    return problems or [("signal", word) for word in check_names(signal)]

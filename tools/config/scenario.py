@@ -54,7 +54,6 @@ class Resolved:
     scenario: Scenario
     path: Path  # of the file it was read from
     sources: tuple[Source, ...]  # the texts it was read from: the file, those it extends, overrides
-    bus_load_percent: float | None = None  # worst case at the scenario's bit rate; None: not computed
 
     @cached_property
     def run_hash(self) -> int:

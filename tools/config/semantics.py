@@ -1,4 +1,4 @@
-"""Checks that span several keys of a scenario: time, geometry, rates, faults, expectations, bus load.
+"""Checks that span several keys of a scenario: time, plant, model, faults, expectations, bus load.
 
 Every check takes the parts it needs from a `Reading` and is skipped while one of them is not sound, so that one wrong
 value does not hide the others and does not bring follow-up complaints either.
@@ -6,22 +6,22 @@ value does not hide the others and does not bring follow-up complaints either.
 
 from __future__ import annotations
 
+import dataclasses
 import math
+import typing
 from collections.abc import Callable, Iterator
 from typing import Any
 
 from bus.errors import BusLoadError
 from bus.load import check_load
-from bus.settings import KeyPath, Problem, Reading
-from bus.units import Mat3
-from plant_server.config import FaultConfig
+from bus.settings import NOTHING, KeyPath, Problem, Reading, fields_of, strip_annotations
+from plant_server.config import FaultConfig, PlantConfig
 from plant_server.faults import check_fault
+from plant_server.validation import explain_inertia, validate
 from tools.config.expect import Expectation, check_expectation
 
 NANO = 1_000_000_000
 PERIOD_TOLERANCE = 0.01  # relative; what the algorithms themselves accept (StepSizeError)
-MAX_LATENCY_TICKS = 14  # AGE in the star tracker's frames has four bits; 15 means not valid
-SYMMETRY_TOLERANCE = 1e-9  # relative to the largest element
 
 Problems = Iterator[Problem]
 
@@ -58,28 +58,6 @@ def _find_tick_hz(parts: dict[KeyPath, Any]) -> int | None:
     return None if tick_hz is None or NANO % tick_hz else tick_hz
 
 
-def check_plant_rates(parts: dict[KeyPath, Any]) -> Problems:
-    tick_hz = _find_tick_hz(parts)
-    if tick_hz is None:
-        return
-    tick_s = 1 / tick_hz
-    step_s = parts.get(("plant", "step_s"))
-    if step_s is not None and (step_s > tick_s * (1 + 1e-9) or not _is_whole(tick_s / step_s)):
-        steps = max(1, math.ceil(tick_s / step_s))
-        word = f"{step_s} s does not divide the tick of {tick_s:g} s (clock.tick_hz {tick_hz})"
-        yield Problem(("plant", "step_s"), f"{word}; near: {tick_s / steps:g} s")
-    rate_hz = parts.get(("plant", "star_tracker", "rate_hz"))
-    if rate_hz is not None and (rate_hz > tick_hz or not _is_whole(tick_hz / rate_hz)):
-        frames = max(1, math.ceil(tick_hz / rate_hz))
-        word = f"{rate_hz} Hz does not divide the tick rate of {tick_hz} Hz; near: {tick_hz / frames:g} Hz"
-        yield Problem(("plant", "star_tracker", "rate_hz"), word)
-    latency_s = parts.get(("plant", "star_tracker", "latency_s"))
-    if latency_s is not None and (not _is_whole(latency_s * tick_hz) or round(latency_s * tick_hz) > MAX_LATENCY_TICKS):
-        near = min(round(latency_s * tick_hz), MAX_LATENCY_TICKS) / tick_hz
-        word = f"{latency_s} s is not a whole number of ticks of {tick_s:g} s, at most {MAX_LATENCY_TICKS}"
-        yield Problem(("plant", "star_tracker", "latency_s"), f"{word}; near: {near:g} s")
-
-
 def check_control_period(parts: dict[KeyPath, Any]) -> Problems:
     tick_hz, divider = _find_tick_hz(parts), parts.get(("fsw", "executive", "control_divider"))
     if tick_hz is None or divider is None:
@@ -102,56 +80,47 @@ def _is_whole(number: float) -> bool:
     return abs(number - round(number)) <= 1e-6 * max(1.0, abs(number)) and round(number) >= 0
 
 
-# -- geometry ------------------------------------------------------------------------------------------------------
+# -- plant and model ---------------------------------------------------------------------------------------------
 
 
-def check_inertias(parts: dict[KeyPath, Any]) -> Problems:
-    for path in (("plant", "body", "inertia_kgm2"), ("fsw", "model", "inertia_kgm2")):
-        inertia = parts.get(path)
-        if inertia is not None and (word := explain_inertia(inertia)):
-            yield Problem(path, word)
+def check_plant(parts: dict[KeyPath, Any]) -> Problems:
+    """What the plant itself says of its settings, also while some of them are not sound."""
+    tick_hz = _find_tick_hz(parts)
+    if tick_hz is None:
+        return
+    config = _complete(PlantConfig, NOTHING, ("plant",), parts, 1 / tick_hz)
+    for problem in validate(config, 1 / tick_hz):
+        if ("plant", *problem.path) in parts:
+            yield Problem(("plant", *problem.path), problem.message, problem.at_key)
 
 
-def explain_inertia(inertia_kgm2: Mat3) -> str | None:
-    """Why no rigid body has this inertia tensor; None when one can."""
-    largest = max(abs(element) for row in inertia_kgm2 for element in row)
-    for i, j in ((0, 1), (0, 2), (1, 2)):
-        upper, lower = inertia_kgm2[i][j], inertia_kgm2[j][i]
-        if abs(upper - lower) > SYMMETRY_TOLERANCE * largest:
-            return f"is not symmetric: row {i + 1} column {j + 1} is {upper:g}, row {j + 1} column {i + 1} is {lower:g}"
-    moments = principal_moments(inertia_kgm2)
-    words = ", ".join(f"{moment:.4g}" for moment in moments)
-    if moments[0] <= 0.0:
-        return f"is not positive definite: its principal moments are {words} kg m^2; all must be > 0"
-    if moments[2] > (moments[0] + moments[1]) * (1 + 1e-9):
-        word = f"no rigid body has the principal moments {words} kg m^2"
-        return f"{word}: the largest can be at most the sum of the others, {moments[0] + moments[1]:.4g}"
-    return None
+def _complete(kind: Any, default: Any, path: KeyPath, parts: dict[KeyPath, Any], tick_s: float) -> Any:
+    """Settings as far as they were read, with something harmless in place of what is not sound."""
+    if path in parts:
+        return parts[path]
+    kind, _ = strip_annotations(kind)
+    if dataclasses.is_dataclass(kind) and isinstance(kind, type):
+        items = fields_of(kind).items()
+        return kind(**{name: _complete(inner, given, (*path, name), parts, tick_s) for name, (inner, given) in items})
+    members = typing.get_args(kind) if typing.get_origin(kind) is tuple else ()
+    if members and dataclasses.is_dataclass(members[0]) and Ellipsis not in members:
+        return tuple(_complete(inner, NOTHING, (*path, i), parts, tick_s) for i, inner in enumerate(members))
+    harmless = {
+        "inertia_kgm2": 1.0 if "wheels" in path else ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
+        "mount": "x",
+        "step_s": tick_s / 1000,
+        "rate_hz": 1 / tick_s,
+    }
+    return harmless.get(str(path[-1]), default)
 
 
-def principal_moments(inertia_kgm2: Mat3) -> tuple[float, float, float]:
-    """Eigenvalues of a symmetric 3 x 3 matrix, smallest first [kg m^2].
-
-    Trigonometric solution of the characteristic equation (Smith, Comm. ACM 4(4), 1961).
-    """
-    (a, d, e), (_, b, f), (_, _, c) = inertia_kgm2
-    mean = (a + b + c) / 3
-    spread = math.sqrt(((a - mean) ** 2 + (b - mean) ** 2 + (c - mean) ** 2 + 2 * (d * d + e * e + f * f)) / 6)
-    if spread == 0.0:
-        return (mean, mean, mean)
-    x, y, z = (a - mean) / spread, (b - mean) / spread, (c - mean) / spread
-    u, v, w = d / spread, e / spread, f / spread
-    half_det = (x * (y * z - w * w) - u * (u * z - w * v) + v * (u * w - y * v)) / 2
-    angle = math.acos(max(-1.0, min(1.0, half_det))) / 3
-    low, high = mean + 2 * spread * math.cos(angle + 2 * math.pi / 3), mean + 2 * spread * math.cos(angle)
-    return (low, 3 * mean - low - high, high)
-
-
-def check_quaternions(parts: dict[KeyPath, Any]) -> Problems:
-    for path in (("plant", "body", "attitude_q"), ("fsw", "target_q")):
-        q = parts.get(path)
-        if q is not None and not math.hypot(*q) > 1e-6:
-            yield Problem(path, f"has length {math.hypot(*q):g}; no attitude: it must be longer than 1e-6")
+def check_model(parts: dict[KeyPath, Any]) -> Problems:
+    inertia = parts.get(("fsw", "model", "inertia_kgm2"))
+    if inertia is not None and (word := explain_inertia(inertia)):
+        yield Problem(("fsw", "model", "inertia_kgm2"), word)
+    q = parts.get(("fsw", "target_q"))
+    if q is not None and not math.hypot(*q) > 1e-6:
+        yield Problem(("fsw", "target_q"), f"has length {math.hypot(*q):g}; an attitude needs one above 1e-6")
 
 
 # -- faults and expectations ---------------------------------------------------------------------------------------
@@ -203,10 +172,9 @@ def _length(parts: dict[KeyPath, Any], key: str) -> int:
 
 CHECKS: tuple[Callable[[dict[KeyPath, Any]], Problems], ...] = (
     check_clock,
-    check_plant_rates,
+    check_plant,
     check_control_period,
-    check_inertias,
-    check_quaternions,
+    check_model,
     check_faults,
     check_expectations,
     check_bus_load,
