@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 from enum import IntEnum
 
 FRAME_SIZE = 16
+READS_AT_ONCE = 4096  # so that a bus that never falls silent does not hold a reader for ever
 FRAME = struct.Struct("=IB3x8s")  # can_id with flag bits, dlc, data
 FRAME_ID = struct.Struct("=I12x")
 

@@ -13,7 +13,7 @@ from array import array
 from collections.abc import Sequence
 
 from bus.errors import BusInUseError, BusLostError
-from bus.frames import FRAME_SIZE, Filter, check_batch, count_error_frames
+from bus.frames import FRAME_SIZE, READS_AT_ONCE, Filter, check_batch, count_error_frames
 from bus.hub_directory import HubDirectory, resolve_directory
 from bus.hub_wire import MAX_DATAGRAM, VCAN_QUEUE_FRAMES, VERSION, pack_control, unpack_control
 from bus.transport import DEFAULT_PATIENCE_S, TransportCounters
@@ -155,7 +155,10 @@ class HubClient:
         """Return the batches and all frames that wait behind them as one batch."""
         self._early = []
         with contextlib.suppress(BusLostError):  # the next call meets it again
-            while datagram := self._receive(0.0):
+            for _ in range(READS_AT_ONCE):
+                datagram = self._receive(0.0)
+                if not datagram:
+                    break
                 if not len(datagram) % FRAME_SIZE:
                     batches.append(datagram)
                 else:

@@ -27,6 +27,7 @@ from bus.frames import (
     ERR_FLAG,
     FRAME,
     FRAME_SIZE,
+    READS_AT_ONCE,
     RTR_FLAG,
     SFF_MASK,
     Filter,
@@ -280,13 +281,15 @@ class PyCanTransport:
             raise BusLostError(f"{self.address}: {self.node} has left this bus")
         frames = []
         try:
-            message = self._bus.recv(timeout_s)
-            while message is not None:
+            for _ in range(READS_AT_ONCE):
+                message = self._bus.recv(timeout_s)
+                if message is None:
+                    break
+                timeout_s = 0.0
                 if message.is_fd:
                     self.counters.fd_frames += 1
                 else:
                     frames.append(pack_message(message))
-                message = self._bus.recv(0.0)
         except ValueError:
             self.counters.malformed += 1
         except (can.CanError, OSError) as error:

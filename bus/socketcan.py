@@ -4,29 +4,24 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import os
 import socket
 import struct
 from collections.abc import Sequence
 
 from bus.can_link import check_link
 from bus.errors import BusAddressError, BusInUseError, BusLostError
-from bus.frames import FRAME_SIZE, Filter, check_batch, count_error_frames, drop_malformed
+from bus.frames import FRAME_SIZE, READS_AT_ONCE, Filter, check_batch, count_error_frames, drop_malformed
 from bus.hub_client import wait_readable
 from bus.transport import DEFAULT_BITRATE_BPS, DEFAULT_QUEUE_FRAMES, TransportCounters
 
 # asm-generic/socket.h, linux/can/raw.h; Python names only some of them
 SO_RCVBUFFORCE = 33
-SO_TIMESTAMPNS = 35
-SO_RXQ_OVFL = 40
 SOL_CAN_RAW = 101
 CAN_RAW_FILTER, CAN_RAW_ERR_FILTER, CAN_RAW_RECV_OWN_MSGS, CAN_RAW_FD_FRAMES = 1, 2, 4, 5
 CAN_ERR_MASK = 0x1FFFFFFF
-FD_FRAME_SIZE = 72
 SKB_BYTES = 768  # receive buffer that one queued frame holds
-ANCILLARY_SPACE = socket.CMSG_SPACE(16) + socket.CMSG_SPACE(4)
 
-_TIMESPEC = struct.Struct("@ll")
-_U32 = struct.Struct("=I")
 _BUSY = (errno.ENOBUFS, errno.EAGAIN)
 
 
@@ -52,11 +47,15 @@ class SocketCanTransport:
         self.counters = TransportCounters()
         self.kernel_stamps_ns: list[int] = []
         self.departed: list[str] = []  # a CAN bus does not tell
+        self._sender = FrameSender()
+        self._receiver = FrameReceiver()
+        self._timeout_s: float | None = None  # as set on the socket
+        self._failure: OSError | None = None  # met behind frames, for the next recv()
         check_link(interface, bitrate_bps)
         self._claim = claim_name(self.address, node)
         self._sock = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+        self._fd = self._sock.fileno()
         try:
-            self._sock.setblocking(False)
             self.queue_frames = size_queue(self._sock, queue_frames)
             self._sock.setsockopt(socket.SOL_SOCKET, SO_RXQ_OVFL, 1)
             self._sock.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
@@ -69,38 +68,44 @@ class SocketCanTransport:
         except OSError as error:
             self.close()
             raise BusAddressError(f"{self.address} cannot be opened: {error.strerror}") from None
-        self._fd = self._sock.fileno()
 
     def send(self, batch: bytes) -> None:
-        """Put the frames on the bus, in order, one system call each: that is how CAN_RAW takes them."""
+        """Put the frames on the bus, in order, with one system call for up to 64 of them."""
         check_batch(batch)
         counters = self.counters
         sound = drop_malformed(batch)
         if sound is not batch:
             counters.malformed += (len(batch) - len(sound)) // FRAME_SIZE
-        send = self._sock.send
-        for at in range(0, len(sound), FRAME_SIZE):
+        while sound:
             try:
-                send(sound[at : at + FRAME_SIZE])
+                taken = self._sender.send(self._fd, sound)
+                counters.tx += taken
             except OSError as error:
                 if error.errno not in _BUSY:
                     raise self._lost(error) from None
+                taken = 1  # the first of them; the next ones may find room
                 counters.tx_failed += 1
-            else:
-                counters.tx += 1
+            sound = sound[taken * FRAME_SIZE :]
 
     def recv(self, timeout_s: float | None = None) -> bytes:
         """Return all frames waiting, at least one; b"" after `timeout_s` [s]. CAN FD frames are only counted."""
-        frames: list[bytes] = []
-        while not frames:
-            if timeout_s != 0.0 and not self._wait(timeout_s):
+        if self._failure is not None:
+            failure, self._failure = self._failure, None
+            raise self._lost(failure)
+        batch = b""
+        while not batch:
+            flags = socket.MSG_DONTWAIT
+            if timeout_s is None or timeout_s >= COARSE_WAIT_S:
+                flags = WAIT_FOR_ONE
+                if timeout_s != self._timeout_s:
+                    self._set_timeout(timeout_s)
+            elif timeout_s > 0.0 and self._fd >= 0 and not wait_readable(self._fd, timeout_s):
                 return b""
-            frames = self._collect()
-            if not frames and timeout_s is not None:  # nothing, or CAN FD frames only
+            batch = self._collect(flags)
+            if not batch and timeout_s is not None:  # nothing, or CAN FD frames only
                 return b""
-        batch = b"".join(frames)
         counters = self.counters
-        counters.rx += len(frames)
+        counters.rx += len(batch) // FRAME_SIZE
         counters.error_frames += count_error_frames(batch)
         return batch
 
@@ -116,42 +121,38 @@ class SocketCanTransport:
 
     def close(self) -> None:
         """Leave the bus."""
+        self._fd = -1
         self._sock.close()
         self._claim.close()
 
-    def _wait(self, timeout_s: float | None) -> bool:
-        if self._sock.fileno() < 0:
-            raise BusLostError(f"{self.address}: {self.node} has left this bus")
-        return wait_readable(self._fd, 3600.0 if timeout_s is None else timeout_s) or timeout_s is None
-
-    def _collect(self) -> list[bytes]:
-        """Return the frames that wait in the socket, and note their stamps and the drop count."""
-        frames: list[bytes] = []
+    def _collect(self, flags: int) -> bytes:
+        """Return the classic frames that wait in the socket, and note their stamps, the drop count and CAN FD frames."""
+        receiver = self._receiver
+        batches: list[bytes] = []
         stamps: list[int] = []
-        recvmsg = self._sock.recvmsg
-        while True:
+        count = BURST
+        while count == BURST:
             try:
-                frame, ancillary, _, _ = recvmsg(FD_FRAME_SIZE, ANCILLARY_SPACE)
-            except BlockingIOError:
-                break
+                batch, count = receiver.receive(self._fd, flags)
             except OSError as error:
-                if frames:
-                    break  # the next call meets it again, or finds the interface back
-                raise self._lost(error) from None
-            stamp_ns = 0
-            for _, kind, value in ancillary:
-                if kind == SO_TIMESTAMPNS:
-                    seconds, nanoseconds = _TIMESPEC.unpack(value)
-                    stamp_ns = seconds * 1_000_000_000 + nanoseconds
-                elif kind == SO_RXQ_OVFL:
-                    self.counters.dropped = _U32.unpack(value)[0]
-            if len(frame) == FRAME_SIZE:
-                frames.append(frame)
-                stamps.append(stamp_ns)
-            else:
-                self.counters.fd_frames += 1
+                if error.errno in (errno.EAGAIN, errno.EINTR):
+                    break
+                if not batches:
+                    raise self._lost(error) from None
+                self._failure = error
+                break
+            flags = socket.MSG_DONTWAIT
+            batches.append(batch)
+            stamps += receiver.stamps_ns
         self.kernel_stamps_ns = stamps
-        return frames
+        self.counters.dropped = receiver.dropped
+        self.counters.fd_frames = receiver.fd_frames
+        return b"".join(batches)
+
+    def _set_timeout(self, timeout_s: float | None) -> None:
+        with contextlib.suppress(OSError):  # a closed socket is told by the read that follows
+            self._sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, pack_timeout(timeout_s or 0.0))
+            self._timeout_s = timeout_s
 
     def _lost(self, error: OSError) -> BusLostError:
         if self._sock.fileno() < 0:
@@ -161,7 +162,9 @@ class SocketCanTransport:
             errno.ENODEV: "the interface was taken away",
             errno.ENXIO: "the interface was taken away",
         }
-        return BusLostError(f"{self.address}: {reasons.get(error.errno or 0, error.strerror)} under {self.node}")
+        return BusLostError(
+            f"{self.address}: {reasons.get(error.errno or 0) or os.strerror(error.errno or 0)} under {self.node}"
+        )
 
 
 def claim_name(address: str, node: str) -> socket.socket:

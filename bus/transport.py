@@ -57,6 +57,8 @@ class Transport(Protocol):
     def recv(self, timeout_s: float | None = None) -> bytes:
         """Return all frames waiting, at least one; b"" after `timeout_s` [s] (None: no limit).
 
+        On a bus that never falls silent it ends after READS_AT_ONCE reads.
+
         Also b"", before the time, when a node was seen to leave: see `departed`. Error frames are among the frames.
         Raises BusLostError when the bus is gone.
         """

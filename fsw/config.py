@@ -176,11 +176,16 @@ class BrakingProfileConfig:
     __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
 
     kind: Literal["braking_profile"]
-    braking_torque_nm: Positive = 0.04  # per wheel, where the margin starts
-    eta: Annotated[float, Gt(0), Le(1)] = 0.8
-    k_theta: Positive = 0.35  # [1/s]
-    k_s: Positive = 1.2  # [1/s]
-    adapt: bool = True
+    eta: Annotated[float, Gt(0), Le(1)] = 0.9  # share of the braking authority planned on, close to the target [1]
+    k_theta: Positive = 0.8  # slope of the profile at the target [1/s]
+    k_s: Positive = 0.8  # gain from the surface to acceleration [1/s]
+    adapt: bool = True  # False: braking_torque_nm and eta throughout, no learning
+    braking_torque_nm: Positive = 0.04  # per wheel, planned on where adapt is off
+    eta_far: Annotated[float, Gt(0), Le(1)] = 0.3  # share planned on far from the target, where a fault costs most [1]
+    far_rad: Positive = 0.25  # distance over which eta passes to eta_far
+    reserve: Annotated[float, Ge(0), Le(1)] = 0.2  # weight of "one more wheel fails" in the braking authority [1]
+    learn_s: Annotated[Seconds, Gt(0)] = 0.28  # time constant of learning what each wheel delivers, at full torque
+    observer_lag_s: Annotated[Seconds, Gt(0)] = 0.3  # time constant of the observer that reports the fault torque
 
 
 # -- allocators ----------------------------------------------------------------------------------------------------

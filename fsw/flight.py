@@ -127,4 +127,3 @@ class Flight:
             counters.last_cycle_ns * 1e-3, counters.max_cycle_ns * 1e-3, counters.last_lateness_ns * 1e-3,
             self.dropped_ticks, *flatten(self.controller.internals), *flatten(self.detector.internals),
         )  # fmt: skip
-

@@ -49,7 +49,11 @@ class Inputs:
         self._star_hold_s = config.modes.star_stale_after_s
         self._rotor_inertia_kgm2 = config.model.wheel_inertia_kgm2
         self._speed_limit_rad_s = 2.0 * config.model.wheel_max_speed_rad_s
-        handlers: dict[int, Handler] = {SYNC_ID: self._on_sync, TIME_ID: self._on_time, HEARTBEAT_PLANT_ID: self._on_heartbeat}
+        handlers: dict[int, Handler] = {
+            SYNC_ID: self._on_sync,
+            TIME_ID: self._on_time,
+            HEARTBEAT_PLANT_ID: self._on_heartbeat,
+        }
         handlers |= {can_id: self._make_fog(i) for i, can_id in enumerate(FOG_IDS)}
         handlers |= {can_id: self._make_wheel(i) for i, can_id in enumerate(WHEEL_IDS)}
         handlers |= {STAR_A_ID: self._on_star_a, STAR_B_ID: self._on_star_b}

@@ -73,7 +73,9 @@ class LockStep:
             self._pending = b""
             return pending
         for end in range(FRAME_SIZE, len(pending) + 1, FRAME_SIZE):
-            if pending[end - FRAME_SIZE : end - FRAME_SIZE + 4] == SYNC_TAIL and self._is_expected(pending[end - 8 : end]):
+            if pending[end - FRAME_SIZE : end - FRAME_SIZE + 4] == SYNC_TAIL and self._is_expected(
+                pending[end - 8 : end]
+            ):
                 self._pending = pending[end:]
                 return pending[:end]
         self._pending = pending

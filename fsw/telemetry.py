@@ -67,7 +67,6 @@ TIMING = Topic(
 )
 
 
-
 def make_topics(law: tuple[Any, ...], detector: tuple[Any, ...]) -> tuple[Topic, ...]:
     """Every topic of this flight software; the last two carry what the chosen law and detector hold inside.
 

@@ -175,6 +175,4 @@ class PlantServer:
 
 
 def _leave_out(batch: bytes, silent: tuple[bool, ...]) -> bytes:
-    return b"".join(
-        batch[i * FRAME_SIZE : (i + 1) * FRAME_SIZE] for i, is_silent in enumerate(silent) if not is_silent
-    )
+    return b"".join(batch[i * FRAME_SIZE : (i + 1) * FRAME_SIZE] for i, is_silent in enumerate(silent) if not is_silent)

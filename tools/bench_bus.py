@@ -1,7 +1,7 @@
 """What a bus costs between two processes: round trip of one frame and one-way throughput, beside a bare socket pair.
 
-Every figure is of two processes on one CPU core: there a wake-up is a context switch, and figures of different buses can
-be compared. On two cores of a virtual machine one costs several times more, whatever the bus.
+Every figure is of two processes on one CPU core: there a wake-up is a context switch, and figures of different buses
+can be compared. On two cores of a virtual machine one costs several times more, whatever the bus.
 """
 
 from __future__ import annotations

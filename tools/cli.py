@@ -35,7 +35,9 @@ def main(argv: list[str] | None = None) -> int:
     """Run one verb; return the exit code."""
     words = sys.argv[1:] if argv is None else argv
     if not sys.platform.startswith("linux"):
-        print(f"hilsat runs on Linux (this is {sys.platform}); on Windows use WSL, on macOS a Linux VM", file=sys.stderr)
+        print(
+            f"hilsat runs on Linux (this is {sys.platform}); on Windows use WSL, on macOS a Linux VM", file=sys.stderr
+        )
         return 2
     hidden = _hidden_packages()
     if hidden:
@@ -88,7 +90,9 @@ def _hidden_packages() -> str:
         spec = importlib.util.find_spec(name)
         origin = "" if spec is None or spec.origin is None else os.path.abspath(spec.origin)
         if not origin.startswith(home + os.sep):
-            return f"hilsat: the package {name!r} that Python finds is not ours but {origin or 'missing'}; run in a venv"
+            return (
+                f"hilsat: the package {name!r} that Python finds is not ours but {origin or 'missing'}; run in a venv"
+            )
     return ""
 
 

@@ -47,12 +47,14 @@ def draw_run(run: Run, resolved: Resolved, path: Path) -> Path:
     return path
 
 
-def _thin(t_s: NDArray[np.float64], values: NDArray[np.float64]) -> tuple[Any, Any]:
+def _thin(t_s: NDArray[np.floating[Any]], values: NDArray[np.floating[Any]]) -> tuple[Any, Any]:
     step = max(1, t_s.size // MAX_POINTS)
     return t_s[::step], values[::step]
 
 
-def _lines(axis: Any, run: Run, topic: str, field: str, names: tuple[str, ...], scale: float = 1.0, **style: Any) -> None:
+def _lines(
+    axis: Any, run: Run, topic: str, field: str, names: tuple[str, ...], scale: float = 1.0, **style: Any
+) -> None:
     if topic not in run.topics:
         return
     t_s, values = _thin(run.t_ns(topic) * 1e-9, run.signals(topic)[field] * scale)

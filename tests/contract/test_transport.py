@@ -395,7 +395,7 @@ class TestQueue:
         assert far.counters.dropped == 0
 
     def test_a_queue_recovers(self, rig: Rig) -> None:
-        """What was read makes room again, also with batches of all lengths: the count of unread frames does not drift."""
+        """What was read makes room again, with batches of all lengths: the count of unread frames does not drift."""
         near, far = rig.open("near"), rig.open("far", queue_frames=300)
         sent = 0
         for round_ in range(200):

@@ -18,9 +18,7 @@ from bus.hub_wire import MARK, MAX_DATAGRAM, pack_control, read_filters, unpack_
 
 _serial = itertools.count()
 
-frames = st.builds(
-    FRAME.pack, st.integers(0, 0xFFFFFFFF), st.integers(0, 255), st.binary(min_size=8, max_size=8)
-)
+frames = st.builds(FRAME.pack, st.integers(0, 0xFFFFFFFF), st.integers(0, 255), st.binary(min_size=8, max_size=8))
 json_values = st.recursive(
     st.none() | st.booleans() | st.integers(-(2**40), 2**40) | st.floats() | st.text(max_size=8),
     lambda children: st.lists(children, max_size=4) | st.dictionaries(st.text(max_size=8), children, max_size=4),
@@ -47,9 +45,11 @@ datagrams = st.one_of(
 
 @pytest.fixture(scope="module")
 def host() -> Iterator[HubHost]:
-    with tempfile.TemporaryDirectory() as directory:
-        with contextlib.closing(HubHost(f"{directory}/bus", "plant", queue_frames=100_000)) as opened:
-            yield opened
+    with (
+        tempfile.TemporaryDirectory() as directory,
+        contextlib.closing(HubHost(f"{directory}/bus", "plant", queue_frames=100_000)) as opened,
+    ):
+        yield opened
 
 
 def connect(host: HubHost) -> socket.socket:
@@ -133,9 +133,7 @@ def test_a_control_message_is_never_taken_for_frames(value: dict[str, object]) -
     batch=st.lists(frames, max_size=30),
     rules=st.none() | st.lists(st.tuples(st.integers(0, 0xFFFFFFFF), st.integers(0, 0xFFFFFFFF)), max_size=4),
 )
-def test_filters_follow_the_kernels_definition(
-    batch: list[bytes], rules: list[tuple[int, int]] | None
-) -> None:
+def test_filters_follow_the_kernels_definition(batch: list[bytes], rules: list[tuple[int, int]] | None) -> None:
     """linux/can.h: `received_id & mask == id & mask`, inverted by CAN_INV_FILTER (bit 29 of the id); several add up.
     Error frames have a filter of their own, which lets all of them pass."""
 

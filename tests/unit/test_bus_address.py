@@ -91,10 +91,10 @@ class TestCanInterfaces:
         """What the kernel says of the interface decides; each refusal holds the command that mends it."""
         monkeypatch.setattr(can_link, "kernel_has_can", lambda: True)
         monkeypatch.setattr(can_link, "find_link", lambda name: can_link.CanLink(name, 3, True, False, None))
-        with pytest.raises(BusAddressError, match="can0 is down; .* ip link set can0 up"):
+        with pytest.raises(BusAddressError, match=r"can0 is down; .* ip link set can0 up"):
             can_link.check_link("can0", 500_000)
         monkeypatch.setattr(can_link, "find_link", lambda name: can_link.CanLink(name, 3, True, True, 250_000))
-        with pytest.raises(BusAddressError, match="can0 runs at 250000 bit/s, .* 500000 bit/s; .* bitrate 500000"):
+        with pytest.raises(BusAddressError, match=r"can0 runs at 250000 bit/s, .* 500000 bit/s; .* bitrate 500000"):
             can_link.check_link("can0", 500_000)
         assert can_link.check_link("can0", 250_000).bitrate_bps == 250_000
 

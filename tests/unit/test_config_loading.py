@@ -317,6 +317,17 @@ def test_schema_is_up_to_date() -> None:
     assert SCHEMA_FILE.read_text(encoding="utf-8") == format_schema()
 
 
+def test_the_tutorial_holds_what_it_says() -> None:
+    """The file of docs/scenarios.md is sound as printed, and its broken line gives the message printed there."""
+    page = REFERENCE_FILE.read_text(encoding="utf-8")
+    yaml_text = page.split("```yaml\n")[1].split("```")[0]
+    name = str(ROOT / "scenarios" / "my-fault.yaml")
+    assert load_text(yaml_text, name).scenario.name == "my-fault"
+    with pytest.raises(ConfigError) as caught:
+        load_text(yaml_text.replace("at_s: 20, rise_s: 30", "at_s: soon"), name)
+    assert f"```\n{str(caught.value).replace(str(ROOT) + '/', '')}\n```" in page
+
+
 def test_reference_is_up_to_date() -> None:
     """The table of keys in docs/scenarios.md is made from the settings; the same command writes it."""
     text = REFERENCE_FILE.read_text(encoding="utf-8")

@@ -138,10 +138,12 @@ class TestDirectory:
     def test_path_longer_than_a_socket_address(self, tmp_path: Path) -> None:
         """The kernel takes 107 bytes of path; the bus works beyond."""
         where = tmp_path / ("d" * 120)
-        with contextlib.closing(HubHost(str(where), "plant")) as host:
-            with contextlib.closing(enter(host, where, "fsw")) as client:
-                host.send(frame(0x80, 7))
-                assert numbers(client.recv(ARRIVE_S)) == [7]
+        with (
+            contextlib.closing(HubHost(str(where), "plant")) as host,
+            contextlib.closing(enter(host, where, "fsw")) as client,
+        ):
+            host.send(frame(0x80, 7))
+            assert numbers(client.recv(ARRIVE_S)) == [7]
         assert not where.exists()
 
     def test_default_is_one_per_user(self, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -203,11 +205,11 @@ class TestEntering:
         found[0].close()
 
     def test_a_host_that_hangs_is_a_clear_error(self, host: HubHost, where: Path) -> None:
-        with pytest.raises(BusLostError, match="did not answer fsw within 0.05 s"):
+        with pytest.raises(BusLostError, match=r"did not answer fsw within 0.05 s"):
             HubClient(str(where), "fsw", patience_s=0.05)
 
     def test_the_name_of_the_host_is_taken(self, host: HubHost, where: Path) -> None:
-        with pytest.raises(BusInUseError, match="plant is already on this bus, as its host"):
+        with pytest.raises(BusInUseError, match=r"plant is already on this bus, as its host"):
             enter(host, where, "plant")
 
     @pytest.mark.parametrize(
@@ -249,7 +251,8 @@ class TestEntering:
 
 class TestTrouble:
     @pytest.mark.parametrize(
-        "garbage", [b"", b"\1", b"\xff" * 17, b"\xffHil" + b"{" * 20, b"\xffHil{}      ", bytes(MAX_DATAGRAM + 16), bytes(15)]
+        "garbage",
+        [b"", b"\1", b"\xff" * 17, b"\xffHil" + b"{" * 20, b"\xffHil{}      ", bytes(MAX_DATAGRAM + 16), bytes(15)],
     )
     def test_garbage_is_counted_and_survived(
         self, host: HubHost, where: Path, stranger: socket.socket, garbage: bytes
@@ -292,7 +295,7 @@ class TestTrouble:
             assert len(host.peers()) == MAX_CLIENTS
 
     def test_what_a_client_sent_before_it_left_still_counts(self, host: HubHost, where: Path) -> None:
-        """A client sends, leaves without reading what waits for it, and its frames are all routed before its name goes."""
+        """It leaves without reading what waits for it; its own frames are all routed before its name goes."""
         client = enter(host, where, "fsw")
         host.send(frame(0x80))
         for number in range(5):
@@ -385,7 +388,7 @@ class TestQueues:
     def test_a_hub_that_does_not_serve_holds_a_sender_up_no_longer_than_its_patience(
         self, host: HubHost, where: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        """The host hangs: frames that find no room are counted as not sent, and those with room are all routed later."""
+        """The host hangs: frames that find no room are counted as not sent; those with room are all routed later."""
         monkeypatch.setattr("bus.hub_client.SEND_PATIENCE_S", 0.05)
         client = enter(host, where, "fsw")
         while not client.counters.tx_failed:

@@ -192,7 +192,9 @@ class TestHilsatBus:
         """python-can's own program, unmodified, writes down what passes on our bus."""
         log = tmp_path / "traffic.log"
         with contextlib.closing(HubHost(f"{tmp_path}/bus", "plant")) as host:
-            code = REGISTER + "import sys; sys.argv = ['can_logger', *sys.argv[1:]]; import can.logger; can.logger.main()"
+            code = (
+                REGISTER + "import sys; sys.argv = ['can_logger', *sys.argv[1:]]; import can.logger; can.logger.main()"
+            )
             command = [sys.executable, "-P", "-c", code, "-i", "hilsat", "-c", host.address, "-f", str(log)]
             environment = {**os.environ, "PYTHONPATH": str(ROOT)}
             with subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL) as logger:

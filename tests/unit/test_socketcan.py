@@ -63,9 +63,11 @@ def interface() -> Iterator[str]:
 
 @pytest.fixture
 def pair(interface: str) -> Iterator[tuple[SocketCanTransport, SocketCanTransport]]:
-    with contextlib.closing(SocketCanTransport(interface, "near")) as near:
-        with contextlib.closing(SocketCanTransport(interface, "far")) as far:
-            yield near, far
+    with (
+        contextlib.closing(SocketCanTransport(interface, "near")) as near,
+        contextlib.closing(SocketCanTransport(interface, "far")) as far,
+    ):
+        yield near, far
 
 
 def test_the_kernels_stamp_comes_with_every_frame(pair: tuple[SocketCanTransport, SocketCanTransport]) -> None:
@@ -144,8 +146,7 @@ def test_an_interface_that_goes_under_a_run_is_named(
     with pytest.raises(BusLostError, match=f"socketcan:{interface}: the interface"):
         far.recv(ARRIVE_S)
     with pytest.raises(BusLostError, match=f"socketcan:{interface}: the interface"):
-        for _ in range(3):  # the first call may report what happened, the next what is
-            near.send(frame(1))
+        near.send(frame(1) * 3)  # the first one may meet what happened, the next what is
 
 
 def test_a_busy_interface_is_counted_and_not_raised(

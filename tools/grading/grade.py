@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from bus.errors import RecordError
+from plant_server.faults import GYRO_AXES
 from tools.config.loader import load_text
 from tools.config.scenario import Resolved
 from tools.grading.judge import Verdict, judge
@@ -65,13 +66,18 @@ def grade_run(run: Run, resolved: Resolved) -> Grade:
     verdicts = [judge(run, item) for item in scenario.expect]
     fired = _fired(run)
     for fault in scenario.faults:
-        key = (fault.unit, fault.kind, round(fault.at_s * scenario.clock.tick_hz))
-        near = [tick for unit, kind, tick in fired if (unit, kind) == key[:2] and abs(tick - key[2]) <= 1]
+        due = round(fault.at_s * scenario.clock.tick_hz)
+        units = GYRO_AXES if fault.unit == "gyro" else (fault.unit,)
+        ticks = [
+            [tick for name, kind, tick in fired if (name, kind) == (unit, fault.kind) and abs(tick - due) <= 1]
+            for unit in units
+        ]
+        near = [found[0] for found in ticks if found]
         detail = "" if near else "it is not in the log as having taken effect"
         verdicts.append(
             Verdict(
                 f"fault fired: {fault.unit} {fault.kind}",
-                bool(near),
+                len(near) == len(units),
                 near[0] / scenario.clock.tick_hz if near else None,
                 f"at {fault.at_s:g} s",
                 None,

@@ -14,7 +14,7 @@ from tools.config.expect import Above, Below, Equals, Expectation, Holding, RmsB
 from tools.grading.signals import evaluate
 from tools.mcap_reader import Run
 
-Floats = NDArray[np.float64]
+Floats = NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True, slots=True)

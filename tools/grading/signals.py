@@ -8,6 +8,7 @@ from __future__ import annotations
 import ast
 import difflib
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,7 +18,15 @@ from numpy.typing import NDArray
 from bus.errors import ConfigError
 from tools.mcap_reader import Run
 
-Floats = NDArray[np.float64]
+Floats = NDArray[np.floating[Any]]
+
+# functions that make one number of a vector, for all samples at once: shape (n, width) -> (n,)
+ACROSS: dict[str, Callable[[Floats], Floats]] = {
+    "norm": lambda v: np.sqrt(np.sum(v * v, axis=1)),
+    "min": lambda v: np.min(v, axis=1),
+    "max": lambda v: np.max(v, axis=1),
+    "sum": lambda v: np.sum(v, axis=1),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +58,7 @@ def evaluate(run: Run, expression: str) -> Series:
 
 def _evaluate(run: Run, node: ast.expr) -> Series:
     if isinstance(node, ast.Constant):
-        return Series(None, np.float64(node.value))  # type: ignore[arg-type]
+        return Series(None, np.asarray(node.value, dtype=np.float64))
     if isinstance(node, ast.Attribute):
         return _look_up(run, ast.unparse(node))
     if isinstance(node, ast.UnaryOp):
@@ -61,7 +70,8 @@ def _evaluate(run: Run, node: ast.expr) -> Series:
         inner = _evaluate(run, node.value)
         if inner.values.ndim != 2:
             raise ValueError(f"{ast.unparse(node.value)} is not a vector")
-        return Series(inner.t_s, inner.values[:, int(node.slice.value)])  # type: ignore[arg-type]
+        assert isinstance(node.slice.value, int)  # the loader lets nothing else through
+        return Series(inner.t_s, inner.values[:, node.slice.value])
     if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
         return _call(node.func.id, _evaluate(run, node.args[0]))
     raise ValueError(f"{ast.unparse(node)} is not allowed")
@@ -120,12 +130,10 @@ def _align(left: Series, right: Series) -> tuple[Floats | None, Floats, Floats]:
 
 def _call(name: str, series: Series) -> Series:
     values = series.values
-    across = {"norm": lambda v: np.sqrt(np.sum(v * v, axis=1)), "min": np.min, "max": np.max, "sum": np.sum}
-    if name in across:
+    if name in ACROSS:
         if values.ndim != 2:
             raise ValueError(f"{name} needs a vector")
-        reduced: Any = across[name](values) if name == "norm" else across[name](values, axis=1)  # type: ignore[call-overload]
-        return Series(series.t_s, reduced)
+        return Series(series.t_s, ACROSS[name](values))
     if name == "rate":
         if series.t_s is None:
             raise ValueError("rate needs a signal")

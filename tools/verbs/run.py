@@ -39,22 +39,24 @@ def run(args: argparse.Namespace) -> int:
     """Run, grade, draw and report; return the exit code."""
     resolved = load_scenario(find_scenario(args.scenario), _overrides(args))
     out_dir = _make_out_dir(args.out, resolved.scenario.name)
-    say = (lambda *_: None) if args.quiet else (lambda text: print(text, file=sys.stderr))
+    if args.quiet:
+        return _conclude(args, resolved, _execute(resolved, out_dir, lambda tick: None))
     scenario = resolved.scenario
-    say(
+    print(
         f"{scenario.name}: {scenario.title}\n  {scenario.duration_s:g} s at {scenario.clock.tick_hz} Hz, "
-        f"{scenario.clock.mode}, seed {scenario.seed}"
+        f"{scenario.clock.mode}, seed {scenario.seed}",
+        file=sys.stderr,
     )
-    on_progress = (lambda tick: None) if args.quiet else print_progress(resolved.ticks)
-    report = _execute(resolved, out_dir, on_progress)
-    if not args.quiet and sys.stderr.isatty():
+    report = _execute(resolved, out_dir, print_progress(resolved.ticks))
+    if sys.stderr.isatty():
         print(file=sys.stderr)
     return _conclude(args, resolved, report)
 
 
 def _overrides(args: argparse.Namespace) -> list[str]:
     named = {"bus.address": args.bus, "clock.mode": args.clock, "seed": args.seed, "duration_s": args.duration}
-    return [f"{key}={value}" for key, value in named.items() if value is not None] + args.set
+    extra: list[str] = args.set
+    return [f"{key}={value}" for key, value in named.items() if value is not None] + extra
 
 
 def _make_out_dir(wanted: Path | None, name: str) -> Path:
