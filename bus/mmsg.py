@@ -32,8 +32,8 @@ class IoVector(ctypes.Structure):
     _fields_ = (("base", ctypes.c_void_p), ("size", ctypes.c_size_t))
 
 
-class Message(ctypes.Structure):
-    """struct mmsghdr."""
+class MessageHead(ctypes.Structure):
+    """struct msghdr."""
 
     _fields_ = (
         ("name", ctypes.c_void_p),
@@ -43,14 +43,19 @@ class Message(ctypes.Structure):
         ("control", ctypes.c_void_p),
         ("control_size", ctypes.c_size_t),
         ("flags", ctypes.c_int),
-        ("size", ctypes.c_uint),
     )
 
 
+class Message(ctypes.Structure):
+    """struct mmsghdr."""
+
+    _fields_ = (("head", MessageHead), ("size", ctypes.c_uint))
+
+
 _SIZE = ctypes.sizeof(Message)
-_GAP = Message.size.offset - Message.control_size.offset - struct.calcsize("N")
+_GAP = Message.size.offset - MessageHead.control_size.offset - struct.calcsize("N")
 _HEAD = struct.Struct(
-    f"={Message.control_size.offset}x{'Q' if struct.calcsize('N') == 8 else 'I'}{_GAP}xI"
+    f"={MessageHead.control_size.offset}x{'Q' if struct.calcsize('N') == 8 else 'I'}{_GAP}xI"
     f"{_SIZE - Message.size.offset - 4}x"
 )  # control_size, size
 _USUAL = [(STAMP_SPACE, FRAME_SIZE)] * BURST  # a stamped classic frame, nothing dropped
@@ -72,13 +77,13 @@ class FrameSender:
         start = ctypes.addressof(buffer)
         for index in range(BURST):
             self._pieces[index] = IoVector(start + index * FRAME_SIZE, FRAME_SIZE)
-            self._messages[index].pieces = ctypes.pointer(self._pieces[index])
-            self._messages[index].piece_count = 1
+            self._messages[index].head.pieces = ctypes.pointer(self._pieces[index])
+            self._messages[index].head.piece_count = 1
         self._view = memoryview(buffer).cast("B")
         self._address = ctypes.addressof(self._messages)
 
     def send(self, fd: int, batch: bytes) -> int:
-        """Send the first frames of the batch; return how many were taken, at least one. Raises OSError for the first."""
+        """Send the first frames of the batch; return how many were taken. Raises OSError when the first one was not."""
         size = min(len(batch), BURST * FRAME_SIZE)
         self._view[:size] = batch if size == len(batch) else batch[:size]
         while True:
@@ -105,7 +110,7 @@ class FrameReceiver:
         for index in range(BURST):
             self._pieces[2 * index] = IoVector(ctypes.addressof(frames) + index * FRAME_SIZE, FRAME_SIZE)
             self._pieces[2 * index + 1] = IoVector(ctypes.addressof(self._rest), FD_REST)
-            message = self._messages[index]
+            message = self._messages[index].head
             message.pieces = ctypes.pointer(self._pieces[2 * index])
             message.piece_count = 2
             message.control = ctypes.addressof(control) + index * CONTROL_SPACE

@@ -12,7 +12,8 @@ from collections.abc import Sequence
 from bus.can_link import check_link
 from bus.errors import BusAddressError, BusInUseError, BusLostError
 from bus.frames import FRAME_SIZE, READS_AT_ONCE, Filter, check_batch, count_error_frames, drop_malformed
-from bus.hub_client import wait_readable
+from bus.hub_client import COARSE_WAIT_S, pack_timeout, wait_readable
+from bus.mmsg import BURST, SO_RXQ_OVFL, SO_TIMESTAMPNS, WAIT_FOR_ONE, FrameReceiver, FrameSender
 from bus.transport import DEFAULT_BITRATE_BPS, DEFAULT_QUEUE_FRAMES, TransportCounters
 
 # asm-generic/socket.h, linux/can/raw.h; Python names only some of them
@@ -94,7 +95,7 @@ class SocketCanTransport:
             raise self._lost(failure)
         batch = b""
         while not batch:
-            flags = socket.MSG_DONTWAIT
+            flags = int(socket.MSG_DONTWAIT)
             if timeout_s is None or timeout_s >= COARSE_WAIT_S:
                 flags = WAIT_FOR_ONE
                 if timeout_s != self._timeout_s:
@@ -126,12 +127,11 @@ class SocketCanTransport:
         self._claim.close()
 
     def _collect(self, flags: int) -> bytes:
-        """Return the classic frames that wait in the socket, and note their stamps, the drop count and CAN FD frames."""
+        """Return the classic frames that wait in the socket; note their stamps, the drop count and CAN FD frames."""
         receiver = self._receiver
         batches: list[bytes] = []
         stamps: list[int] = []
-        count = BURST
-        while count == BURST:
+        for _ in range(READS_AT_ONCE // BURST):
             try:
                 batch, count = receiver.receive(self._fd, flags)
             except OSError as error:
@@ -144,6 +144,8 @@ class SocketCanTransport:
             flags = socket.MSG_DONTWAIT
             batches.append(batch)
             stamps += receiver.stamps_ns
+            if count < BURST:
+                break
         self.kernel_stamps_ns = stamps
         self.counters.dropped = receiver.dropped
         self.counters.fd_frames = receiver.fd_frames

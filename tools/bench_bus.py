@@ -22,8 +22,9 @@ from bus.errors import BusError
 from bus.frames import FRAME
 from bus.transport import Transport, open_transport
 
-BENCH_ID, PING_ID, ACK_ID, END_ID = 0x7D0, 0x7D1, 0x7D2, 0x7D3
+BENCH_ID, PING_ID, ACK_ID, ASK_ID = 0x7D0, 0x7D1, 0x7D2, 0x7D3
 PATIENCE_S = 10.0
+ASK_AFTER_S = 0.05
 WINDOW = 4096  # frames under way at most: a reader that keeps up never has more waiting
 ACK_EVERY = 1024
 QUEUE_FRAMES = 8192
@@ -104,46 +105,50 @@ def measure_one_way(address: str, frames: int = 200_000, batch_frames: int = 32)
 
 def _stream(transport: Transport, frames: int, batch_frames: int) -> tuple[int, int]:
     """Send all frames within the window; return how many the reader got and how many it was told were dropped."""
-    read = dropped = sent = 0
+    account = (0, 0)
+    sent = 0
     while sent < frames:
         transport.send(b"".join(FRAME.pack(BENCH_ID, 8, (sent + k).to_bytes(8, "little")) for k in range(batch_frames)))
         sent += batch_frames
-        while sent - read - dropped >= WINDOW:
-            read, dropped = _read_ack(transport, (read, dropped))
-    transport.send(FRAME.pack(END_ID, 8, bytes(8)))
+        if sent - sum(account) >= WINDOW:
+            account = _await_account(transport, account, sent - WINDOW + 1)
+    return _await_account(transport, account, frames)
+
+
+def _await_account(transport: Transport, account: tuple[int, int], wanted: int) -> tuple[int, int]:
+    """Return (read, dropped) once they add up to `wanted`. A reader that is silent is asked."""
     deadline = time.monotonic() + PATIENCE_S
-    while read + dropped < frames and time.monotonic() < deadline:
-        read, dropped = _read_ack(transport, (read, dropped))
-    return read, dropped
-
-
-def _read_ack(transport: Transport, last: tuple[int, int]) -> tuple[int, int]:
-    batch = transport.recv(PATIENCE_S)
-    if not batch:
-        raise BusError(f"{transport.address}: the reader went silent while measuring throughput")
-    for can_id, _, data in FRAME.iter_unpack(batch):
-        if can_id == ACK_ID:
-            last = (int.from_bytes(data[:4], "little"), int.from_bytes(data[4:], "little"))
-    return last
+    while sum(account) < wanted:
+        if time.monotonic() >= deadline:
+            raise BusError(
+                f"{transport.address}: {wanted - sum(account)} frames unaccounted for after {PATIENCE_S:g} s"
+            )
+        batch = transport.recv(ASK_AFTER_S)
+        if not batch:
+            transport.send(FRAME.pack(ASK_ID, 8, bytes(8)))
+        for can_id, _, data in FRAME.iter_unpack(batch):
+            if can_id == ACK_ID:
+                account = (int.from_bytes(data[:4], "little"), int.from_bytes(data[4:], "little"))
+    return account
 
 
 # -- the other process ----------------------------------------------------------------------------------------------
 
 
 def _read_frames(transport: Transport) -> None:
-    """Read until the end frame, acknowledging; the test frames must come in their order."""
+    """Read and acknowledge, every so many frames and when asked; the test frames must come in their order."""
     read = acked = 0
     transport.send(FRAME.pack(ACK_ID, 8, bytes(8)))
     while batch := transport.recv(PATIENCE_S):
-        ended = False
+        asked = False
         for can_id, _, data in FRAME.iter_unpack(batch):
             if can_id == BENCH_ID:
                 if int.from_bytes(data, "little") < read:
                     raise BusError(f"{transport.address}: frame {data.hex()} came out of order")
                 read += 1
-            elif can_id == END_ID:
-                ended = True
-        if ended or read - acked >= ACK_EVERY:
+            elif can_id == ASK_ID:
+                asked = True
+        if asked or read - acked >= ACK_EVERY:
             acked = read
             dropped = transport.counters.dropped
             transport.send(FRAME.pack(ACK_ID, 8, read.to_bytes(4, "little") + dropped.to_bytes(4, "little")))

@@ -163,14 +163,12 @@ class McapWriter:
     def write_chunk(self, parts: list[bytes]) -> None:
         """Write one chunk of ticks, each of which is whole Message records, and its message index."""
         data = b"".join(parts)
-        table = self._layouts.locate(parts, data)
+        table, first_ns, last_ns = self._layouts.locate(parts, data)
         if not table:
             return
         unknown = table.keys() - self._channels.keys()
         if unknown:
             raise RecordError(f"telemetry on channels {sorted(unknown)}, which no process announced")
-        first_ns = min(int(pairs[:, 0].min()) for pairs in table.values())
-        last_ns = max(int(pairs[:, 0].max()) for pairs in table.values())
         packed = self._compress(data)
         name = self._compression.encode()
         crc = 0 if name else zlib.crc32(data)

@@ -66,8 +66,17 @@ class Layout:
     """What one tick looks like: its table, and which of its bytes are constant and which are log times."""
 
     table: MessageTable
+    channels: tuple[int, ...]
     columns: Ints
     constant: bytes
+
+
+class Located(NamedTuple):
+    """The messages of some ticks: channel -> (log time, offset), and the first and last log time [ns]."""
+
+    pairs: dict[int, Pairs]
+    first_ns: int
+    last_ns: int
 
 
 class LayoutIndex:
@@ -76,29 +85,26 @@ class LayoutIndex:
     def __init__(self) -> None:
         self._layouts: dict[int, Layout] = {}
 
-    def locate(self, parts: list[bytes], data: bytes) -> dict[int, Pairs]:
-        """Channel -> (log time, offset) of its messages in `data`, which is the concatenation of `parts`.
+    def locate(self, parts: list[bytes], data: bytes) -> Located:
+        """Where the messages are in `data`, which is the concatenation of `parts`. Offsets rise in each channel.
 
         Each part is whole Message records; raises RecordError if not.
         """
         lengths = np.fromiter(map(len, parts), np.int64, len(parts))
         starts = np.cumsum(lengths) - lengths
-        found: dict[int, list[Pairs]] = {}
+        # Ticks with the same channels in the same order are put together, whatever their lengths: a tick with one
+        # frame more is the same sort of tick.
+        found: dict[tuple[int, ...], list[Pairs]] = {}
         for length in set(lengths.tolist()):
             mine = starts[lengths == length]
             if len(mine) < FEW or not self._match(data, length, mine, found):
                 for start in mine.tolist():
-                    _collect(_walk_whole(data[start : start + length], start), found)
-        merged = {}
-        for channel, pairs in sorted(found.items()):
-            if len(pairs) == 1:
-                merged[channel] = pairs[0]
-            else:
-                stacked = np.concatenate(pairs)
-                merged[channel] = stacked[np.argsort(stacked[:, 1], kind="stable")]
-        return merged
+                    table = _walk_whole(data[start : start + length], start)
+                    pairs = np.stack((table.log_time_ns, table.offset), axis=1)[:, None, :].astype("<u8")
+                    found.setdefault(tuple(table.channel.tolist()), []).append(pairs)
+        return _merge(found)
 
-    def _match(self, data: bytes, length: int, starts: Ints, found: dict[int, list[Pairs]]) -> bool:
+    def _match(self, data: bytes, length: int, starts: Ints, found: dict[tuple[int, ...], list[Pairs]]) -> bool:
         """Add the messages of parts that all have the layout known for this length; False when one has not."""
         layout = self._layouts.get(length)
         if layout is None:
@@ -113,14 +119,33 @@ class LayoutIndex:
         pairs = np.empty((count, alike, 2), "<u8")
         pairs[:, :, 0] = np.ascontiguousarray(taken[:, count * CONSTANT :]).view("<u8").T
         pairs[:, :, 1] = starts + table.offset[:, None]
-        for number, channel in enumerate(table.channel.tolist()):
-            found.setdefault(channel, []).append(pairs[number])
+        found.setdefault(layout.channels, []).append(pairs)
         return True
 
 
-def _collect(table: MessageTable, found: dict[int, list[Pairs]]) -> None:
-    for channel, log_time_ns, offset in zip(*(column.tolist() for column in table[:3]), strict=True):
-        found.setdefault(channel, []).append(np.array([[log_time_ns, offset]], "<u8"))
+def _merge(found: dict[tuple[int, ...], list[Pairs]]) -> Located:
+    """Put the ticks of each sort in order, then the sorts together. Shapes: (messages of a tick, ticks, 2)."""
+    by_channel: dict[int, list[Pairs]] = {}
+    first_ns, last_ns = [], []
+    for channels, blocks in found.items():
+        if not channels:
+            continue
+        block = blocks[0]
+        if len(blocks) > 1:
+            joined = np.concatenate(blocks, axis=1)
+            block = joined[:, np.argsort(joined[0, :, 1])]
+        first_ns.append(int(block[:, :, 0].min()))
+        last_ns.append(int(block[:, :, 0].max()))
+        for row, channel in enumerate(channels):
+            by_channel.setdefault(channel, []).append(block[row])
+    merged = {}
+    for channel, rows in sorted(by_channel.items()):
+        pairs = rows[0]
+        if len(rows) > 1:
+            pairs = np.concatenate(rows)
+            pairs = pairs[np.argsort(pairs[:, 1])]
+        merged[channel] = pairs
+    return Located(merged, min(first_ns, default=0), max(last_ns, default=0))
 
 
 def _walk_whole(part: bytes, start: int) -> MessageTable:
@@ -134,4 +159,5 @@ def _learn_layout(part: bytes) -> Layout:
     table = _walk_whole(part, 0)
     constant = (table.offset[:, None] + np.arange(CONSTANT)).ravel()
     times = (table.offset[:, None] + TIME_AT + np.arange(8)).ravel()
-    return Layout(table, np.concatenate((constant, times)), np.frombuffer(part, np.uint8)[constant].tobytes())
+    fixed = np.frombuffer(part, np.uint8)[constant].tobytes()
+    return Layout(table, tuple(table.channel.tolist()), np.concatenate((constant, times)), fixed)

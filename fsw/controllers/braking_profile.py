@@ -141,7 +141,9 @@ class BrakingProfile:
         # w_d' = -e f'(theta) theta', theta' = w.e; the turning of e itself is left to the feedback.
         along = slope * (wx * ex + wy * ey + wz * ez)
         k = self._config.k_s
-        torque = self._turn_into_torque((-k * sx - along * ex, -k * sy - along * ey, -k * sz - along * ez), (wx, wy, wz))
+        torque = self._turn_into_torque(
+            (-k * sx - along * ex, -k * sy - along * ey, -k * sz - along * ez), (wx, wy, wz)
+        )
         tau_rw_nm = self._tau_rw = self._allocate(torque, tau_fault_hat_b_nm)
         return Demand(combine_wheels(tau_rw_nm), tau_rw_nm)
 
@@ -227,7 +229,7 @@ class BrakingProfile:
     def _allocate(self, torque_b_nm: Vec3, tau_fault_hat_b_nm: Vec3) -> Vec4:
         """Return wheel commands within limits [N m] that leave `torque_b_nm` on the body, as far as the limits allow."""
         ea, eb, ec, ed = self._effectiveness
-        a, b, c, d = self._tau_rw
+        a, b, c, d = self._tau_seen
         skew = S * (1.0 - ed) * d
         # Take off what the shares do not explain of v; spread_weighted makes up for the rest.
         x = torque_b_nm[0] - tau_fault_hat_b_nm[0] - (1.0 - ea) * a - skew

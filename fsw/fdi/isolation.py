@@ -9,6 +9,8 @@ from bus.units import Mat3, Vec3, Vec4
 _MISALIGNMENT = 0.174  # sin 10 deg: how far a wheel's axis may be off
 _INERTIA_ERROR = 0.03
 _CONFIRM_CYCLES = 4
+_LEARNT_MARGIN = 1.5  # the bound stays this factor above the worst model error that the star tracker showed ...
+_LEARNT_FOR_S = 60.0  # ... and comes down over this time
 
 
 class ModelErrorBound:
@@ -20,6 +22,7 @@ class ModelErrorBound:
         self._memory_s = 1.0 / memory_rad_s
         self._gain = min(1.0, cycle_s * memory_rad_s)
         self._floor = floor_rad_s
+        self._fade = 1.0 - min(1.0, cycle_s / _LEARNT_FOR_S)
         self.reset()
 
     def reset(self) -> None:
@@ -27,6 +30,7 @@ class ModelErrorBound:
         self._h: Vec4 | None = None
         self._w: Vec3 = (0.0, 0.0, 0.0)
         self._counts = [0, 0, 0]
+        self._scale = [1.0, 1.0, 1.0]
 
     def bound(self, h_rw_nms: Vec4, omega_b_rad_s: Vec3) -> Vec3:
         """Return the threshold of each axis [rad/s] for this cycle's wheel momenta [N m s] and rate [rad/s]."""
@@ -51,11 +55,19 @@ class ModelErrorBound:
 
     def count(self, residual_b_rad_s: Vec3, bound_b_rad_s: Vec3) -> tuple[bool, bool, bool]:
         """Return for each axis whether its residual has been beyond the bound for four cycles running."""
-        counts = self._counts
+        counts, scale = self._counts, self._scale
         for axis in (0, 1, 2):
-            counts[axis] = counts[axis] + 1 if abs(residual_b_rad_s[axis]) > bound_b_rad_s[axis] else 0
+            beyond = abs(residual_b_rad_s[axis]) > scale[axis] * bound_b_rad_s[axis]
+            counts[axis] = counts[axis] + 1 if beyond else 0
         return (counts[0] >= _CONFIRM_CYCLES, counts[1] >= _CONFIRM_CYCLES, counts[2] >= _CONFIRM_CYCLES)
 
-    def calm(self) -> None:
-        """Begin counting again: the star tracker has the say."""
+    def learn(self, model_error_b_rad_s: Vec3, bound_b_rad_s: Vec3) -> None:
+        """While the star tracker has the say: widen the bound to what the model is seen to be wrong by.
+
+        model_error_b_rad_s : gyro-less rate less the torque observer's; no gyro in it, so no gyro fault widens it
+        """
+        fade, scale = self._fade, self._scale
+        for axis in (0, 1, 2):
+            seen = _LEARNT_MARGIN * abs(model_error_b_rad_s[axis]) / bound_b_rad_s[axis]
+            scale[axis] = max(1.0 + fade * (scale[axis] - 1.0), seen)
         self._counts = [0, 0, 0]

@@ -210,7 +210,8 @@ class PracticalDetector:
             alarm = self._judge_without_star(bound, suspect)
             self._lean_on_gyro(r2, suspect, cycle.gyro_valid, dt_s)
         else:
-            self._bound.calm()
+            r1 = self._r1
+            self._bound.learn((r1[0] - r2[0], r1[1] - r2[1], r1[2] - r2[2]), bound)
         return self._decide(cycle, suspect, alarm, window_s, estimate)
 
     def _use_star(

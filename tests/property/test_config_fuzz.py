@@ -65,7 +65,7 @@ def mutate(draw: st.DrawFn, data: Any) -> None:
 
 @st.composite
 def broken(draw: st.DrawFn) -> dict[str, Any]:
-    data = copy.deepcopy(draw(st.sampled_from(RESOLVED)))
+    data: dict[str, Any] = copy.deepcopy(draw(st.sampled_from(RESOLVED)))
     for _ in range(draw(st.integers(1, 3))):
         mutate(draw, data)
     return data

@@ -103,6 +103,13 @@ def test_the_step_is_of_fourth_order():
         assert 3.7 < math.log2(coarse / fine) < 4.8
 
 
+def test_inverse_of_an_inertia():
+    """Equal to numpy's; a singular one is refused."""
+    np.testing.assert_allclose(invert_symmetric(J), np.linalg.inv(np.array(J)), rtol=1e-13, atol=1e-17)
+    with pytest.raises(ValueError, match="singular"):
+        invert_symmetric(((1.0, 1.0, 0.0), (1.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
+
+
 # -- momentum exchange ---------------------------------------------------------------------------------------------
 
 
@@ -276,3 +283,14 @@ def test_two_step_sizes_give_one_truth():
             plant.step((0.05 * math.sin(k), 0.02, -0.03, 0.04 * math.cos(k)))
         ends.append(plant.truth())
     np.testing.assert_allclose(ends[0], ends[1], atol=1e-9)
+
+
+def test_truth_counts_the_error_from_the_target():
+    """The error angle is that between attitude and target, whatever the sign of either quaternion."""
+    target = Rotation.from_rotvec([0.3, -0.2, 0.5])
+    body = target * Rotation.from_rotvec([0.0, math.radians(25.0), 0.0])
+    x, y, z, w = (float(v) for v in body.as_quat())
+    a, b, c, d = (float(v) for v in target.as_quat())
+    config = PlantConfig(body=BodyConfig(inertia_kgm2=J, attitude_q=(w, x, y, z)), wheels=make_wheels())
+    for q in ((d, a, b, c), (-d, -a, -b, -c), (2 * d, 2 * a, 2 * b, 2 * c)):
+        assert read_truth(Plant(config, (), 0.1, 0, q))["error_deg"][0] == pytest.approx(25.0, abs=1e-12)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import re
+from pathlib import Path
 
 import pytest
 
@@ -152,7 +154,12 @@ def test_events_come_once_in_order_with_their_numbers():
         FaultConfig(unit="gyro.x", kind="constant", rate_rad_s=0.01, at_s=0.5),
     ]
     events = [e for s, _ in run(make_plant(faults)) for e in s.events]
-    assert [(e.tick, e.number, e.active) for e in events] == [(5, 2, True), (10, 0, True), (20, 0, False), (20, 1, True)]
+    assert [(e.tick, e.number, e.active) for e in events] == [
+        (5, 2, True),
+        (10, 0, True),
+        (20, 0, False),
+        (20, 1, True),
+    ]
     assert events[1].describe() == "wheel.1 loss effectiveness 0.6"
     assert events[1].magnitude == 0.6
 
@@ -188,3 +195,16 @@ def test_a_run_repeats_bit_for_bit_and_another_seed_differs():
     assert run(make_plant(faults)) == run(make_plant(faults))
     other = Plant(make_plant().config, tuple(faults), 0.1, 8)
     assert run(other) != run(make_plant(faults))
+
+
+def test_the_page_lists_every_fault_with_what_it_takes():
+    """docs/plant.md has a row for each kind of the catalogue, naming the magnitudes it needs and may have."""
+    page = (Path(__file__).parent.parent.parent / "docs" / "plant.md").read_text()
+    rows = [line.split("|") for line in page.splitlines() if line.count("|") == 5 and "`" in line.split("|")[2]]
+    listed = [(cells[2].strip(" `"), set(re.findall(r"`(\w+)`", cells[3]))) for cells in rows]
+    expected = [
+        (name, {*kind.needs, *(key for key, _ in kind.may)})
+        for kinds in CATALOGUE.values()
+        for name, kind in kinds.items()
+    ]
+    assert listed == expected

@@ -83,8 +83,10 @@ def test_scale_factor_bias_and_misalignment():
 
 def test_scale_factor_is_drawn_from_the_preset():
     """Over 400 seeds its spread is the preset's sigma, within 5 standard errors, and its mean 0."""
-    quiet = {key: 0.0 for key in ("arw_rad_sqrt_s", "bias_instability_rad_s", "rrw_rad_s_sqrt_s", "angle_lsb_rad")}
-    drawn = np.array([make_gyro(seed=k, preset="tactical", **quiet).sample((1.0, 1.0, 1.0), 0, 0.0) for k in range(400)])
+    quiet = dict.fromkeys(("arw_rad_sqrt_s", "bias_instability_rad_s", "rrw_rad_s_sqrt_s", "angle_lsb_rad"), 0.0)
+    drawn = np.array(
+        [make_gyro(seed=k, preset="tactical", **quiet).sample((1.0, 1.0, 1.0), 0, 0.0) for k in range(400)]
+    )
     errors = drawn.ravel() - 1.0
     assert errors.std() == pytest.approx(300e-6, rel=5 / math.sqrt(2 * 1200))
     assert abs(errors.mean()) < 5 * 300e-6 / math.sqrt(1200)
@@ -194,6 +196,7 @@ def test_presets_are_ordered_and_the_given_term_wins():
 
 def test_streams_are_named_independent_and_repeatable():
     """One name and seed: the same numbers. Another name or seed: uncorrelated ones."""
+
     def draws(seed, name):
         return open_stream(seed, name).standard_normal(20000)
 

@@ -156,20 +156,20 @@ def test_a_busy_interface_is_counted_and_not_raised(
     near, far = pair
 
     class Busy:
-        """The socket, with every second send refused as a full queue refuses it."""
+        """The sender, one frame a call, with every second call refused as a full queue refuses it."""
 
-        def __init__(self, sock: socket.socket) -> None:
-            self._sock = sock
+        def __init__(self) -> None:
+            self._sender = near._sender
             self._calls = 0
 
-        def send(self, data: bytes) -> int:
+        def send(self, fd: int, batch: bytes) -> int:
             self._calls += 1
             if self._calls % 2 == 0:
                 raise OSError(errno.ENOBUFS, "No buffer space available")
-            return self._sock.send(data)
+            return self._sender.send(fd, batch[:16])
 
     with monkeypatch.context() as patch:
-        patch.setattr(near, "_sock", Busy(near._sock))
+        patch.setattr(near, "_sender", Busy())
         near.send(frame(1, 1) + frame(1, 2) + frame(1, 3))
     assert far.recv(ARRIVE_S) == frame(1, 1) + frame(1, 3)
     assert (near.counters.tx, near.counters.tx_failed) == (2, 1)

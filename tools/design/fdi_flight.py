@@ -34,6 +34,8 @@ from plant_server.plant import TRUTH_FIELDS, Plant
 INERTIA_KGM2: Mat3 = ((45.0, 3.0, 2.0), (3.0, 38.0, -1.5), (2.0, -1.5, 50.0))
 # 50, 50 and 250 microradians: a common star tracker
 STAR_ARCSEC: Vec3 = (10.3, 10.3, 51.6)
+PUBLISHED_Q: Vec4 = (0.85, 0.25, -0.3, 0.35)
+PUBLISHED_RATE_DEG_S: Vec3 = (0.51, 0.3, 0.009)
 STALE_TICKS = 5  # a silent gyro axis is held for this long, then not valid
 
 
@@ -69,6 +71,7 @@ class FlightSettings:
     tilt_max_deg: float = 10.0  # each wheel's axis is off by a random part of this, in a random direction
     inertia_sigma: float = 0.02  # truth = model * (1 + this * normal)
     manoeuvre_every_s: float = 120.0  # 0: hold one attitude
+    published_start: bool = False  # attitude and rate of Zhang, Ye & Sun 2018, section 4, instead of random ones
     faults: tuple[FaultConfig, ...] = ()
     detector: DetectorConfig = field(default_factory=lambda: PracticalDetectorConfig(kind="practical"))
 
@@ -98,12 +101,14 @@ def make_plant(settings: FlightSettings) -> Plant:
         WheelConfig(mount=mount, tilt_deg=float(tilt), clock_deg=float(clock))  # type: ignore[arg-type]
         for mount, tilt, clock in zip(_MOUNTS, tilts, clocks, strict=True)
     )
+    attitude = exp_map(tuple((0.5 * rng.normal(size=3)).tolist()))
+    rate_deg_s: Vec3 = tuple((0.3 * rng.normal(size=3)).tolist())
     config = PlantConfig(
         step_s=1.0 / settings.rate_hz,
         body=BodyConfig(
             inertia_kgm2=inertia,  # type: ignore[arg-type]
-            attitude_q=exp_map(tuple((0.5 * rng.normal(size=3)).tolist())),
-            rate_deg_s=tuple((0.3 * rng.normal(size=3)).tolist()),
+            attitude_q=PUBLISHED_Q if settings.published_start else attitude,
+            rate_deg_s=PUBLISHED_RATE_DEG_S if settings.published_start else rate_deg_s,
         ),
         wheels=wheels,  # type: ignore[arg-type]
         gyro=GyroConfig(preset=settings.fog),  # type: ignore[arg-type]
