@@ -37,6 +37,18 @@ class TransportCounters:
     fd_frames: int = 0  # CAN FD frames met and left out
     malformed: int = 0  # datagrams or frames refused because they were none
 
+    @property
+    def lossy(self) -> bool:
+        """True when a frame did not get through."""
+        return self.dropped > 0 or self.tx_failed > 0
+
+    def describe(self) -> str:
+        """What was lost, in words."""
+        return (
+            f"{self.dropped} frames were lost in the receive buffer, {self.tx_failed} could not be sent "
+            f"({self.rx} received, {self.tx} sent)"
+        )
+
 
 class Transport(Protocol):
     """One attachment to a bus. For use from one thread at a time."""

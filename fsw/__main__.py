@@ -5,9 +5,10 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
+import os
 import signal
 import sys
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import FrameType
 
@@ -45,12 +46,13 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m fsw", description="hilsat flight software process")
     parser.add_argument("--config", required=True, type=Path, help="resolved settings, as `hilsat` writes them")
     parser.add_argument("--telemetry-fd", type=int, help="write end of the recorder's pipe")
+    parser.add_argument("--progress-fd", type=int, help="where to say at the end how the bus was, as a JSON line")
     args = parser.parse_args(argv)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _interrupt)
     try:
         config = _load(args.config)
-        _fly(config, args.telemetry_fd)
+        _fly(config, args.telemetry_fd, args.progress_fd)
     except Interrupted as stop:
         return 128 + int(stop.args[0])
     except HilsatError as error:
@@ -71,7 +73,7 @@ def _load(path: Path) -> FswFile:
     return build(FswFile, data, str(path))
 
 
-def _fly(config: FswFile, telemetry_fd: int | None) -> None:
+def _fly(config: FswFile, telemetry_fd: int | None, progress_fd: int | None = None) -> None:
     run = config.run
     flight = Flight(config.fsw, run.tick_ns * 1e-9, run.run_hash)
     realtime = run.clock.mode == "realtime"
@@ -92,6 +94,11 @@ def _fly(config: FswFile, telemetry_fd: int | None) -> None:
         finally:
             with contextlib.suppress(HilsatError, OSError):
                 transport.send(flight.outputs.heartbeat(STATE_FAILED if reason == "failed" else STATE_STOPPED))
+            if progress_fd is not None:
+                with contextlib.suppress(OSError):  # nobody listening is no error
+                    os.write(progress_fd, json.dumps({"fsw_bus": asdict(transport.counters)}).encode() + b"\n")
+            if transport.counters.lossy:
+                link.event(0, "warning", "fsw", transport.counters.describe())
             link.close(reason)
 
 

@@ -171,14 +171,14 @@ class VariableStructureConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BrakingProfileConfig:
-    """Sliding surface along a braking profile, s = w - w_d(theta), with a margin that adapts to what the wheels give."""
+    """Sliding surface along a braking profile, s = w - w_d(theta); its margin adapts to what the wheels give."""
 
     __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
 
     kind: Literal["braking_profile"]
     eta: Annotated[float, Gt(0), Le(1)] = 0.9  # share of the braking authority planned on, close to the target [1]
     k_theta: Positive = 0.8  # slope of the profile at the target [1/s]
-    k_s: Positive = 0.8  # gain from the surface to acceleration [1/s]
+    k_s: Positive = 0.6  # gain from the surface to acceleration [1/s]
     adapt: bool = True  # False: braking_torque_nm and eta throughout, no learning
     braking_torque_nm: Positive = 0.04  # per wheel, planned on where adapt is off
     eta_far: Annotated[float, Gt(0), Le(1)] = 0.3  # share planned on far from the target, where a fault costs most [1]

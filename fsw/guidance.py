@@ -1,7 +1,8 @@
 """Guidance to a fixed attitude: the error quaternion, the short way round.
 
 q and -q are the same attitude. A law that drives q_err to (1, 0, 0, 0) unwinds when it is handed the other sign, and
-chatters when the sign is chosen afresh on every cycle near 180 degrees (Mayhew, Sanfelice & Teel, IEEE TAC 56(11), 2011).
+chatters when the sign is chosen afresh on every cycle near 180 degrees (Mayhew, Sanfelice & Teel, IEEE Trans. Automatic
+Control 56(11), 2011).
 """
 
 from __future__ import annotations
@@ -12,7 +13,6 @@ from bus.errors import ConfigError
 from bus.units import Vec4
 
 HYSTERESIS_Q0 = 0.1  # the sign changes only when q0 < -0.1: 11.5 degrees past the half turn
-IDENTITY: Vec4 = (1.0, 0.0, 0.0, 0.0)
 
 
 class Guidance:
@@ -21,7 +21,7 @@ class Guidance:
     __slots__ = ("_sign", "_target")
 
     def __init__(self, target_q: Vec4) -> None:
-        """target_q: attitude to reach, q_it, scalar first; normalised here. Raises ConfigError for a zero quaternion."""
+        """target_q: attitude to reach, q_it, scalar first; normalised here. Raises ConfigError when it is zero."""
         norm = math.sqrt(target_q[0] ** 2 + target_q[1] ** 2 + target_q[2] ** 2 + target_q[3] ** 2)
         if not norm > 1e-6:
             raise ConfigError(

@@ -33,10 +33,13 @@ def plant_heartbeat(batch: bytes) -> tuple[int, int] | None:
     return found
 
 
-def plant_stopped(batch: bytes) -> bool:
-    """True when the plant says in this batch that it has stopped."""
+def plant_stopped(batch: bytes, run_hash: int) -> bool:
+    """True when the plant says in this batch that it has stopped.
+
+    run_hash : of this run, as heard from the plant; another bench's plant does not count. 0: not heard yet
+    """
     heartbeat = plant_heartbeat(batch)
-    return heartbeat is not None and heartbeat[0] == STATE_STOPPED
+    return heartbeat is not None and heartbeat[0] == STATE_STOPPED and run_hash in (0, heartbeat[1])
 
 
 def meet_plant(transport: Transport, outputs: Outputs, run_hash: int, patience_s: float) -> None:

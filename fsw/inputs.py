@@ -126,8 +126,12 @@ class Inputs:
         pass  # calendar time is for the ground; nothing in the cycle depends on it
 
     def _on_heartbeat(self, values: Values) -> None:
+        run_hash = int(values[3])
+        if self.run_hash not in (0, run_hash):  # of another bench on this bus
+            self.counters.foreign += 1
+            return
         self.plant_state = int(values[2])
-        self.run_hash = int(values[3])
+        self.run_hash = run_hash
 
     def _make_fog(self, axis: int) -> Handler:
         def on_fog(values: Values) -> None:

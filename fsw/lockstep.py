@@ -79,7 +79,7 @@ class LockStep:
                 self._pending = pending[end:]
                 return pending[:end]
         self._pending = pending
-        if plant_stopped(pending):
+        if plant_stopped(pending, self._flight.inputs.run_hash):
             self._flight.inputs.plant_state = STATE_STOPPED
         return None
 

@@ -45,7 +45,7 @@ class RealTime:
             batch += arrived
             if arrived:
                 last_heard_ns = clock.now_ns()
-                if plant_stopped(arrived):
+                if plant_stopped(arrived, flight.inputs.run_hash):
                     break
             elif clock.now_ns() - last_heard_ns > PEER_TIMEOUT_S * 1e9:
                 raise self._lost(tick)

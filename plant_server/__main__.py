@@ -9,7 +9,7 @@ import os
 import signal
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import FrameType
 
@@ -105,7 +105,7 @@ def _serve(config: PlantFile, telemetry_fd: int | None, progress: Progress) -> N
     tick_s = run.tick_ns * 1e-9
     server = PlantServer(Plant(config.plant, config.faults, tick_s, run.seed, config.target_q), tick_s, run.run_hash)
     link = TelemetryLink(telemetry_fd, SOURCE, blocking=run.clock.mode != "realtime")
-    log = PlantLog(server, link, run.tick_ns)
+    log = PlantLog(server, link, run.tick_ns, stamped=run.bus.address.startswith("socketcan:"))
     reason = "failed"
     with contextlib.closing(
         open_transport(run.bus.address, node="plant", host=True, bitrate_bps=run.bus.bitrate_bps)
@@ -127,6 +127,9 @@ def _serve(config: PlantFile, telemetry_fd: int | None, progress: Progress) -> N
         finally:
             with contextlib.suppress(HilsatError, OSError):
                 transport.send(server.heartbeat(STATE_FAILED if reason == "failed" else STATE_STOPPED))
+            progress.say(plant_bus=asdict(transport.counters))
+            if transport.counters.lossy:
+                link.event(server.tick * run.tick_ns, "warning", "plant", transport.counters.describe())
             link.close(reason)
 
 

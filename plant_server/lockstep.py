@@ -40,6 +40,7 @@ class LockStep:
     def _wait_for_answer(self, tick: int) -> bytes:
         server, transport = self._server, self._transport
         received = transport.recv(PEER_TIMEOUT_S)
+        self._log.note_arrival(received, transport)
         if received and server.accept(received):
             return received
         until = time.monotonic() + PEER_TIMEOUT_S
@@ -53,6 +54,7 @@ class LockStep:
                     "was stopped"
                 )
             batch = transport.recv(left_s)
+            self._log.note_arrival(batch, transport)
             received += batch
             if batch and server.accept(batch):
                 return received

@@ -47,8 +47,8 @@ class RealTime:
         """Collect frames until the deadline; waiting on the bus also lets an embedded hub do its work."""
         received = b""
         while (left_ns := deadline_ns - time.monotonic_ns()) > 0:
-            received += self._transport.recv(left_ns * 1e-9)
-        received += self._transport.recv(0.0)
+            received += self._receive(left_ns * 1e-9)
+        received += self._receive(0.0)
         lateness_ns = -left_ns
         if lateness_ns > self.max_lateness_ns:
             self.max_lateness_ns = lateness_ns
@@ -60,3 +60,8 @@ class RealTime:
                     f"{MAX_LATENESS_S:g} s): lower clock.tick_hz or free the machine"
                 )
         return received
+
+    def _receive(self, timeout_s: float) -> bytes:
+        batch = self._transport.recv(timeout_s)
+        self._log.note_arrival(batch, self._transport)
+        return batch

@@ -2,23 +2,50 @@
 
 from __future__ import annotations
 
-from bus.telemetry import Link, announce_topics, pack_frames
+from bus.frames import FRAME_ID
+from bus.telemetry import Field, Link, TickPacker, Topic, announce_topics, pack_frames
+from bus.transport import Transport
 from plant_server.plant import FaultEvent
 from plant_server.server import PlantServer
 from plant_server.truth import FRAMES_CHANNEL, make_packer
 
 BUS_NAME = "bus0"
+STAMPS_CHANNEL = 51
+STAMPS = Topic(
+    f"/can/{BUS_NAME}_kernel_stamps",
+    "hilsat/KernelStamp",
+    (
+        Field("received_ns", "uint64", 1, "ns", "when the kernel took this frame in, CLOCK_REALTIME; 0: not stamped"),
+        Field("can_id", "uint32", 1, "1", "id of the frame with its flag bits, as in struct can_frame"),
+        Field("dropped", "uint32", 1, "1", "frames that the receive buffer had no room for so far"),
+    ),
+    deterministic=False,
+)
 
 
 class PlantLog:
-    """Feeds one telemetry link, one write a tick."""
+    """Feeds one telemetry link, one write a tick.
 
-    def __init__(self, server: PlantServer, link: Link, tick_ns: int) -> None:
+    stamped : the bus says when each frame was received; logged in a topic of its own, one record a frame
+    """
+
+    def __init__(self, server: PlantServer, link: Link, tick_ns: int, stamped: bool = False) -> None:
         self._server = server
         self.link = link
         self._tick_ns = tick_ns
         self._packer = make_packer()
-        link.announce(announce_topics([self._packer], {FRAMES_CHANNEL: BUS_NAME}))
+        self._stamps = TickPacker([STAMPS], STAMPS_CHANNEL) if stamped else None
+        self._arrivals: list[tuple[int, int, int]] = []  # of this tick: time, id, frames dropped so far
+        packers = [self._packer] if self._stamps is None else [self._packer, self._stamps]
+        link.announce(announce_topics(packers, {FRAMES_CHANNEL: BUS_NAME}))
+
+    def note_arrival(self, batch: bytes, transport: Transport) -> None:
+        """Keep the kernel's stamps of the frames that the transport has just returned."""
+        if self._stamps is not None and batch:
+            dropped = transport.counters.dropped
+            ids = FRAME_ID.iter_unpack(batch)
+            stamps = transport.kernel_stamps_ns
+            self._arrivals += [(stamp_ns, can_id, dropped) for (can_id,), stamp_ns in zip(ids, stamps, strict=False)]
 
     def write(self, frames: bytes) -> None:
         """Log this tick: the frames in the order of the bus, the truth at the time of sampling, new fault events."""
@@ -30,6 +57,10 @@ class PlantLog:
             for event in samples.events:
                 self._announce(event, tick, t_ns)
         records = pack_frames(FRAMES_CHANNEL, tick, t_ns, frames) + self._packer.pack(tick, t_ns, *server.truth)
+        if self._stamps is not None and self._arrivals:
+            pack = self._stamps.pack
+            records += b"".join([pack(tick, t_ns, *arrival) for arrival in self._arrivals])
+            self._arrivals = []
         self.link.write_tick(tick, t_ns, records)
 
     def _announce(self, event: FaultEvent, tick: int, t_ns: int) -> None:

@@ -13,7 +13,7 @@ import os
 import signal
 import sys
 
-from bus.errors import HilsatError, RecordError
+from bus.errors import HilsatError
 
 # verb -> (module with add_parser(subparsers), summary); imported only when the verb is used
 VERBS: dict[str, tuple[str, str]] = {

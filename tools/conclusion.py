@@ -102,7 +102,25 @@ def _sum_up(run: Run, resolved: Resolved, report: RunReport) -> dict[str, Any]:
         figures["final pointing error"] = f"{error_deg[-1]:.2g} deg"
     figures["faults that took effect"] = sum(record["phase"] == "onset" for record in run.faults)
     figures |= _sum_up_executive(run, resolved)
+    figures |= _sum_up_bus(report)
     figures["digest of the run"] = run.digest()[:16]
+    return figures
+
+
+def _sum_up_bus(report: RunReport) -> dict[str, Any]:
+    """What each side says of its attachment to the bus; nothing for a run without one."""
+    sides = {"plant": report.details.get("plant_bus"), "flight software": report.details.get("fsw_bus")}
+    told = {name: bus for name, bus in sides.items() if bus}
+    if not told:
+        return {}
+    figures = {"frames lost in receive buffers": ", ".join(f"{name} {bus['dropped']}" for name, bus in told.items())}
+    for key, title in (
+        ("tx_failed", "frames not sent"),
+        ("error_frames", "error frames"),
+        ("fd_frames", "CAN FD frames"),
+    ):
+        if any(bus[key] for bus in told.values()):
+            figures[title] = ", ".join(f"{name} {bus[key]}" for name, bus in told.items())
     return figures
 
 

@@ -20,7 +20,6 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from bus.settings import plain
 from tools.config.scenario import Resolved
 from tools.processes import Process, make_pipe, memory_mb, share_processor, start, stop
 from tools.provenance import describe_run, list_attachments
@@ -109,13 +108,8 @@ class _Supervisor:
         plant_in, plant_out = make_pipe()
         fsw_in, fsw_out = make_pipe()
         plant_file, fsw_file, meta_file = (self._out / name for name in ("plant.json", "fsw.json", "meta.json"))
-        scenario = self._resolved.scenario
-        run = self._resolved.run_dict()
-        run["bus"]["address"] = self._address
-        target_q = plain(scenario.fsw.target_q)
-        plant = {"plant": plain(scenario.plant), "faults": plain(scenario.faults), "target_q": target_q}
-        plant_file.write_text(json.dumps({"run": run} | plant))
-        fsw_file.write_text(json.dumps({"run": run, "fsw": plain(scenario.fsw)}))
+        plant_file.write_text(self._resolved.plant_json(self._address))
+        fsw_file.write_text(self._resolved.fsw_json(self._address))
         meta_file.write_text(json.dumps(describe(self._resolved, self._address)))
         out = self._out
         try:
@@ -131,13 +125,14 @@ class _Supervisor:
                 [plant_out, progress_out], out / "plant.err",
             )  # fmt: skip
             fsw = start(
-                "flight software", "fsw", ["--config", str(fsw_file), "--telemetry-fd", str(fsw_out)],
-                [fsw_out], out / "fsw.err",
+                "flight software", "fsw",
+                ["--config", str(fsw_file), "--telemetry-fd", str(fsw_out), "--progress-fd", str(progress_out)],
+                [fsw_out, progress_out], out / "fsw.err",
             )  # fmt: skip
         finally:
             for fd in (plant_in, plant_out, fsw_in, fsw_out):
                 os.close(fd)
-        if scenario.clock.mode == "lockstep":
+        if self._resolved.scenario.clock.mode == "lockstep":
             share_processor(plant_process, fsw)
         return [plant_process, fsw, recorder]
 
@@ -157,6 +152,7 @@ class _Supervisor:
             elif now_s - self._last_progress_s > STILL_S:
                 self._report.problems.append(f"nothing moved for {STILL_S:g} s at tick {self._report.ticks}")
                 break
+        self._read_progress(progress_in, processes)
         self._judge(processes)
 
     def _read_progress(self, fd: int, processes: list[Process]) -> None:

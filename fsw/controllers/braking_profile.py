@@ -1,7 +1,7 @@
 """Attitude law that follows a braking profile, as fast as the wheels that are left allow.
 
 The body turns towards the target at the rate from which it can still be stopped there. What "can" means is learnt in
-flight from the commanded wheel torques and from the fault torque that the observer reports; nothing is known of the faults.
+flight from the commanded wheel torques and from the fault torque that the observer reports; no fault is known beforehand.
 Derivation and study: docs/ilo-smc.md.
 """
 
@@ -34,11 +34,12 @@ class BrakingProfileInternals(NamedTuple):
 
 
 def find_authority(t_b: Vec3, limit_nm: Vec4) -> tuple[float, float]:
-    """Return the largest m with D0 y = m t, |y_i| <= limit_i, for these wheels and for the worst loss of one of them [1].
+    """Return the largest m with D0 y = m t, |y_i| <= limit_i, for these wheels and after the worst loss of one [1].
 
-    With y_4 free, y_i = m t_i - S y_4 for i = 1..3. Eliminating y_4 between the two-sided limits of every pair of wheels
-    leaves m |t_i - t_j| <= limit_i + limit_j and m |t_i| <= limit_i + S limit_4: exact for these four axes. Losing a wheel
-    takes its term out of each sum it is in, so the worst loss leaves the smaller term of each. Infinite for t = 0.
+    With y_4 free, y_i = m t_i - S y_4 for i = 1..3. Eliminating y_4 between the two-sided limits of every pair of
+    wheels leaves m |t_i - t_j| <= limit_i + limit_j and m |t_i| <= limit_i + S limit_4: exact for these four axes.
+    Losing a wheel takes its term out of each sum it is in, so the worst loss leaves the smaller term of each.
+    Infinite for t = 0.
     """
     x, y, z = t_b
     a, b, c, d = limit_nm
@@ -81,13 +82,15 @@ class BrakingProfile:
         f = k_theta theta                                       for theta <= theta_1 = a eta / k_theta^2
         f^2 = 2 a (eta_far x + (eta - eta_far) far (1 - exp(-x/far))),  x = theta - theta_1/2,   beyond
 
-    so that the deceleration along it is a (eta_far + (eta - eta_far) exp(-x/far)): gentle far out, where a wheel that fails
-    while the body is fast costs a long overshoot, firm close to the target. a = (1 - reserve) a_now + reserve a_worst, the
-    braking accelerations along e of the wheels as they are thought to be, and after one more loss.
+    so that the deceleration along it is a (eta_far + (eta - eta_far) exp(-x/far)): gentle far out, where a wheel that
+    fails while the body is fast costs a long overshoot, firm close to the target.
 
-    The wheels' shares e_i are learnt by a normalised gradient step on the residual r of v = -D0 (1 - e) tau + r, with tau
-    the commands seen through the observer's lag. What they do not explain (misalignment, bias) stays in r and is fed
-    forward. With `adapt` off, a is that of braking_torque_nm per wheel, eta_far is not used, and the shares stay at 1.
+    a = (1 - reserve) a_now + reserve a_worst: the braking accelerations along e of the wheels as they are thought to
+    be, and after one more loss. The wheels' shares e_i are learnt by a normalised gradient step on the residual r of
+    v = -D0 (1 - e) tau + r, with tau the commands seen through the observer's lag. What the shares do not explain
+    (misalignment, bias) stays in r and is fed forward.
+
+    With `adapt` off, a is that of braking_torque_nm per wheel, eta_far is not used, and the shares stay at 1.
     """
 
     __slots__ = (
@@ -227,11 +230,13 @@ class BrakingProfile:
         return (tx, ty, tz)
 
     def _allocate(self, torque_b_nm: Vec3, tau_fault_hat_b_nm: Vec3) -> Vec4:
-        """Return wheel commands within limits [N m] that leave `torque_b_nm` on the body, as far as the limits allow."""
+        """Return wheel commands within limits [N m] that leave `torque_b_nm` on the body, as far as they can."""
         ea, eb, ec, ed = self._effectiveness
         a, b, c, d = self._tau_seen
         skew = S * (1.0 - ed) * d
-        # Take off what the shares do not explain of v; spread_weighted makes up for the rest.
+        # Take off what the shares do not explain of v; spread_weighted makes up for the rest. The commands must be those
+        # seen through the observer's lag: the last one alone, against a late v, makes a loop that rings when the bus is
+        # one period late.
         x = torque_b_nm[0] - tau_fault_hat_b_nm[0] - (1.0 - ea) * a - skew
         y = torque_b_nm[1] - tau_fault_hat_b_nm[1] - (1.0 - eb) * b - skew
         z = torque_b_nm[2] - tau_fault_hat_b_nm[2] - (1.0 - ec) * c - skew

@@ -1,7 +1,7 @@
 """Saturated variable-structure attitude law without a disturbance estimate: the baseline of comparisons.
 
-After Hu, Xiao & Friswell, IET Control Theory & Applications 5(2), 2011. It stands in for the law that Zhang, Ye & Sun 2018
-compare with (their reference [16], Xiao, Hu, Wang & Poh 2013); it makes no claim about that one.
+After Hu, Xiao & Friswell, IET Control Theory & Applications 5(2), 2011. It stands in for the law that Zhang, Ye & Sun
+2018 compare with (their reference [16], Xiao, Hu, Wang & Poh 2013); it makes no claim about that one.
 """
 
 from __future__ import annotations

@@ -5,6 +5,7 @@ from __future__ import annotations
 from enum import IntEnum
 
 _QUICK_S = 0.3  # low pass of the fault estimate that rate steps are taken from
+_POWER_CAP = 10.0  # times the healthy limit: a large fault is not remembered longer than a small one
 _HEALTHY_EXCESS = 1.3  # a healed axis may show this much of the gyro's white noise power
 
 
@@ -50,7 +51,8 @@ class AxisRecovery:
         """Take in the fault estimate of this cycle [rad/s]."""
         self.step_rad_s = self._next_step
         self._next_step += self._quick * (fault_hat_rad_s - self._next_step)
-        self._power += self._slow * (fault_hat_rad_s * fault_hat_rad_s - self._power)
+        power = self._power + self._slow * (fault_hat_rad_s * fault_hat_rad_s - self._power)
+        self._power = min(power, _POWER_CAP * self._clear_power)
 
     @property
     def quick_mean_rad_s(self) -> float:

@@ -14,7 +14,7 @@ from fsw.config import IloConfig, ModelConfig
 
 ZERO: Vec3 = (0.0, 0.0, 0.0)
 PERIOD_TOLERANCE = 0.01  # the gains belong to one period; 1 % of jitter in its nominal value is harmless
-# A rate error of 1 rad/s would read as 98 N m, a thousand times what the wheels have: the state is lost, not the satellite.
+# A rate error of 1 rad/s would read as 98 N m, a thousand times what the wheels have: only the state is lost.
 RESTART_ABOVE_RAD_S = 1.0
 
 
@@ -53,9 +53,9 @@ def scale_gains(config: IloConfig, period_s: float) -> IloConfig:
         the steady gain L = (K2 + K3)/(1 - K1), which makes a first-order disturbance observer of time constant J/L;
         the learning filter's pole K1, which forgets with time constant -T/ln K1.
 
-    Both are kept for the new period T': K1' = K1^(T'/T) and K2' + K3' = L (1 - K1'), the split K3/K2 as it was. Eq (13)'s
-    zero at -K3/K2 is a sampled artefact without a time of its own. For K1 -> 1 the rule tends to K2' + K3' =
-    (K2 + K3) T'/T, the pure integrator's, which is used there.
+    Both are kept for the new period T': K1' = K1^(T'/T) and K2' + K3' = L (1 - K1'), the split K3/K2 as it was (eq
+    (13)'s zero at -K3/K2 is a sampled artefact without a time of its own). For K1 -> 1 the rule tends to
+    K2' + K3' = (K2 + K3) T'/T, the pure integrator's, which is used there.
 
     Raises ConfigError unless period_s > 0.
     """

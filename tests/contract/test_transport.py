@@ -34,6 +34,9 @@ EVERY = ["memory", "hub-host", "hub-alone", "virtual", VCAN]
 BOUNDED = ["memory", "hub-host", "hub-alone", VCAN]  # python-can does not tell what its drivers drop
 HOSTED = ["memory", "hub-host", "hub-alone"]  # a kernel interface and a driver have no host and know no names
 INTERPROCESS = ["hub-host", "hub-alone", VCAN]
+# Between sender and sockets the kernel has a queue of its own (net.core.netdev_max_backlog, 1000 frames). On a busy
+# machine it is emptied by a thread, and what does not fit is dropped without a count that any socket could see.
+KERNEL_BACKLOG = 900
 _serial = itertools.count()
 
 ECHO = """
@@ -295,9 +298,10 @@ class TestTransport:
 
     def test_a_batch_longer_than_any_buffer_of_ours(self, rig: Rig) -> None:
         near, far = rig.open("near"), rig.open("far")
-        batch = b"".join(frame(0x100, number) for number in range(3000))
+        length = 3000 if rig.kind != "socketcan" else KERNEL_BACKLOG
+        batch = b"".join(frame(0x100, number) for number in range(length))
         near.send(batch)
-        assert rig.gather(far, 3000) == batch
+        assert rig.gather(far, length) == batch
 
     def test_recv_ends_on_time(self, rig: Rig) -> None:
         """Nothing comes: recv waits as long as told and not less, to the microsecond, and zero is no wait."""
@@ -391,6 +395,8 @@ class TestQueue:
         for number in range(10_000):
             near.send(frame(0x100, number))
             rig.turn()
+            if number % KERNEL_BACKLOG == 0 and rig.kind == "socketcan":
+                time.sleep(0.01)
         assert numbers(rig.gather(far, 10_000)) == list(range(10_000))
         assert far.counters.dropped == 0
 

@@ -64,7 +64,7 @@ def run_observer(kind: str, fault_kind: str) -> np.ndarray:
 
 
 def estimate_error(kind: str, fault_kind: str, until_s: float) -> np.ndarray:
-    part = (TIMES >= ONSET_S - 1e-9) & (TIMES <= until_s + 1e-9)
+    part = slice(round(ONSET_S / TICK_S), round(until_s / TICK_S) + 1)
     return (run_observer(kind, fault_kind) - make_fault(fault_kind))[part]
 
 

@@ -84,7 +84,7 @@ def test_a_changed_gains_file_is_noticed() -> None:
 @pytest.mark.parametrize("ratio", [0.5, 0.99])
 def test_gamma_below_the_optimum_is_refused(ratio: float) -> None:
     """No controller exists below gamma_opt; the message names design and gamma and says what to do."""
-    with pytest.raises(DesignError, match="cannot be reached.*use a larger gamma"):
+    with pytest.raises(DesignError, match=r"cannot be reached.*use a larger gamma"):
         design_bank(J, Weighting(eps=5.0, gamma_ratio=ratio))
 
 

@@ -6,11 +6,10 @@
 from __future__ import annotations
 
 from tools.config.loader import Examination, examine, examine_text, load_scenario, load_text
-from tools.config.scenario import RecordConfig, Resolved, Scenario
+from tools.config.scenario import Resolved, Scenario
 
 __all__ = [
     "Examination",
-    "RecordConfig",
     "Resolved",
     "Scenario",
     "examine",

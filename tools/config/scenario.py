@@ -6,7 +6,7 @@ import json
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar
 
 from bus.settings import BusConfig, ClockConfig, plain, run_hash
 from bus.units import Ge, Gt, Seconds
@@ -16,15 +16,6 @@ from tools.config.expect import Expectation
 from tools.config.findings import Source
 
 STRICT: dict[str, Any] = {"extra": "forbid", "allow_inf_nan": False}
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RecordConfig:
-    """How the run's log is written."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
-
-    compression: Literal["zstd", "lz4", "none"] = "zstd"  # of the MCAP chunks
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,7 +35,6 @@ class Scenario:
     faults: tuple[FaultConfig, ...] = ()  # each must take effect, or the run fails
     fsw: FswConfig
     expect: tuple[Expectation, ...] = ()  # all must hold for the run to pass
-    record: RecordConfig = field(default_factory=RecordConfig)
 
 
 @dataclass(frozen=True)

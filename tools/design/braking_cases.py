@@ -1,8 +1,8 @@
 """Slew cases with their clairvoyant optimum, and a plant in plain floats that flies flight algorithms through them.
 
-A case is a start, four misaligned wheels and a fault schedule for the satellite of Zhang, Ye & Sun 2018; `optimum_s` is the
-shortest time to rest at the target when every fault is known in advance (see braking_optimum.py). The file holds the
-paper's scenario, four cases of another origin, and 88 drawn by `draw_case`, numbers 0 to 87.
+A case is a start, four misaligned wheels and a fault schedule for the satellite of Zhang, Ye & Sun 2018; `optimum_s`
+is the shortest time to rest at the target when every fault is known in advance (see braking_optimum.py). The file holds
+the paper's scenario, four cases of another origin, and 88 drawn by `draw_case`, numbers 0 to 87.
 """
 
 from __future__ import annotations

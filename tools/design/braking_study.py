@@ -1,10 +1,11 @@
-"""How fast each attitude law is, as a ratio to the clairvoyant optimum, over 93 fault cases: the table of docs/ilo-smc.md.
+"""How fast each attitude law is, as a ratio to the clairvoyant optimum, over 93 fault cases (see docs/ilo-smc.md).
 
     python -m tools.design.braking_study                     every law, ideal sensors (about a minute)
     python -m tools.design.braking_study --law adaptive --degraded
     python -m tools.design.braking_study --law adaptive --cases
 
-Settling is the last time the error exceeds 1 degree. The ratio can be below 1: the optimum is to rest at the target itself.
+Settling is the last time the error exceeds 1 degree. The ratio can be below 1: the optimum is to rest at the target
+itself, and 1 degree is passed before that.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ from fsw.observers.none import NoObserver
 from tools.design.braking_cases import INERTIA_KGM2, Case, Conditions, Stack, fly, read_cases
 
 GROUPS = ("zhang2018", "given", "random, tuned on", "random, check")
-FIRST_CHECK = 44  # random cases from this number on were not looked at while the defaults were chosen
+FIRST_CHECK = 44  # random cases from this number on took no part in the choice of the default settings
 ADAPTIVE = BrakingProfileConfig(kind="braking_profile")
 FIXED = replace(ADAPTIVE, adapt=False, eta=0.8, k_theta=0.35, k_s=1.2)
 
@@ -116,9 +117,8 @@ def main(arguments: list[str]) -> int:
             print(summarise(f"{name}, {condition}", cases, ratios), flush=True)
             if options.cases:
                 for case, ratio in zip(cases, ratios, strict=True):
-                    print(
-                        f"{case.id:12s} optimum {case.optimum_s:6.2f} s  settled {ratio * case.optimum_s:6.2f} s  {ratio:.3f}"
-                    )
+                    settled_s = ratio * case.optimum_s
+                    print(f"{case.id:12s} optimum {case.optimum_s:6.2f} s  settled {settled_s:6.2f} s  {ratio:.3f}")
     return 0
 
 

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 from bus.errors import UsageError
-from bus.settings import plain
 from tools.config.loader import load_scenario
 from tools.config.scenario import Resolved
 from tools.scenario_files import find_scenario
@@ -45,22 +44,10 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError("two separate programs need a bus to meet on: name it with --bus, for example hub:/tmp/bench")
     with tempfile.TemporaryDirectory(prefix="hilsat-") as directory:
         config = Path(directory) / f"{args.verb}.json"
-        config.write_text(json.dumps(_settings(resolved, args.verb)))
+        config.write_text(resolved.fsw_json() if args.verb == "fsw" else resolved.plant_json())
         if args.log is None:
             return _become(args.verb, ["--config", str(config)])
         return _run_logged(resolved, args, config)
-
-
-def _settings(resolved: Resolved, verb: str) -> dict[str, Any]:
-    scenario = resolved.scenario
-    if verb == "fsw":
-        return {"run": resolved.run_dict(), "fsw": plain(scenario.fsw)}
-    return {
-        "run": resolved.run_dict(),
-        "plant": plain(scenario.plant),
-        "faults": plain(scenario.faults),
-        "target_q": plain(scenario.fsw.target_q),
-    }
 
 
 def _become(verb: str, arguments: list[str]) -> int:
