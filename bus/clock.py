@@ -10,7 +10,7 @@ from typing import Protocol
 PEER_TIMEOUT_S = 4.0  # wall time without a sign of life after which a peer is declared dead
 FIFO_PRIORITY = 50
 ARENA_BYTES = 1 << 20  # of CPython's allocator
-RESERVED_ARENAS = 4
+RESERVED_ARENAS = 2
 _reserve: list[bytes] = []
 
 

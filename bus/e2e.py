@@ -7,7 +7,7 @@ into the checksum; a frame that repeats a counter is thrown away.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from fastcrc.crc8 import sae_j1850
@@ -96,6 +96,41 @@ class Link:
     def _count(self, outcome: str) -> None:
         self.faults[outcome] += 1
         self.outcome = outcome
+
+
+class LinkGroup:
+    """The links of frames that come together, with one alive counter: kept as one while all goes well.
+
+    Whoever has checked a whole batch at once with the counter `expected` (`decode_sensors`, `decode_commands`) calls
+    `accept`. Before anything touches the links themselves, `part` brings them up to date; after it, `join`.
+    """
+
+    __slots__ = ("_links", "_pending", "expected")
+
+    def __init__(self, links: Sequence[Link]) -> None:
+        self._links = tuple(links)
+        self._pending = 0  # batches accepted that the links do not know of
+        self.expected = -1
+        self.join()
+
+    def accept(self) -> None:
+        """Take one frame on every link, each with the expected counter."""
+        self._pending += 1
+        self.expected = NEXT_COUNTER[self.expected]
+
+    def part(self) -> None:
+        """Bring the links to where `Link.accept` would have brought them frame by frame."""
+        if self._pending:
+            for link in self._links:
+                link.accepted += self._pending
+                link.expected = self.expected
+                link.outcome = OK
+            self._pending = 0
+
+    def join(self) -> None:
+        """Find the counter that all links expect next: -1 while they do not expect the same."""
+        counters = {link.expected for link in self._links}
+        self.expected = counters.pop() if len(counters) == 1 else -1
 
 
 class Receiver:

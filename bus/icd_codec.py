@@ -7,6 +7,9 @@ Raises ValueError for NaN and TypeError for a count that is not a whole number.
 
 decode_<NAME>(data) returns (counter, nibble, *signals) of the 8 data bytes, or None where the checksum does not fit
 data and id, or where the length is not 8. It raises on no bytes whatever.
+
+decode_<batch>(batch, counter) takes all frames of one tick at once where they are what they nearly always are, and
+returns None everywhere else: then the frames must be looked at one by one.
 """
 
 from __future__ import annotations
@@ -32,6 +35,7 @@ _NIBBLES = tuple(tuple(high << 4 | low for low in range(16)) for high in range(1
 _BY_COUNTER = tuple(tuple(high << 4 | low for high in range(16)) for low in range(16))  # [counter][high nibble]
 _SPLIT = tuple((byte & 15, byte >> 4) for byte in range(256))
 _join = b"".join
+_bits = int.from_bytes
 
 _pack_BBIx = Struct("<BBIx").pack
 _unpack_BBIx = Struct("<BBBIx").unpack
@@ -530,6 +534,98 @@ def encode_fogs(counter: int, status: Nibbles3, rate_rad_s: Floats3, sync_cnt: i
         _HEAD_FOGY_RATE[_crc(data_1, 0x53)], data_1,
         _HEAD_FOGZ_RATE[_crc(data_2, 0x87)], data_2,
     ))  # fmt: skip
+
+
+def _know(frames: tuple[tuple[tuple[bytes, ...], int | None], ...]) -> tuple[int, tuple[int, ...]]:
+    """Which bits of a batch are known beforehand, as one number, and what they are, by alive counter.
+
+    Known are the frame headers, the counter and, where given, the high nibble beside it. The last entry fits nothing.
+    """
+    mask, known = b"", [b""] * 15
+    for heads, nibble in frames:
+        mask += b"\xff" * 8 + bytes((0, 0x0F if nibble is None else 0xFF)) + bytes(6)
+        for counter in range(15):
+            known[counter] += heads[0][:8] + bytes((0, (nibble or 0) << 4 | counter)) + bytes(6)
+    return _bits(mask, "little"), (*(_bits(bits, "little") for bits in known), -1)
+
+
+SENSORS_SIZE = 128
+_BITS_SENSORS, _KNOWN_SENSORS = _know((
+    (_HEAD_RW1_TLM, 0), (_HEAD_RW2_TLM, 0), (_HEAD_RW3_TLM, 0), (_HEAD_RW4_TLM, 0), (_HEAD_FOGX_RATE, 0),
+    (_HEAD_FOGY_RATE, 0), (_HEAD_FOGZ_RATE, 0), (_HEAD_SYNC, 0),
+))
+_sums_sensors = Struct("<" + "8xB7s" * 8).unpack
+_values_sensors = Struct("<8xxixxx8xxixxx8xxixxx8xxixxx8xxxixx8xxxixx8xxxixx8xxxIxx").unpack
+
+
+def decode_sensors(batch: bytes, counter: int) -> tuple[float, float, float, float, float, float, float, int] | None:
+    """(speed, rate, tick) of the frames 0x190..0x193, 0x1A0..0x1A2, 0x080..0x080, each signal frame by frame.
+
+    None unless these are exactly the frames, in this order, with this counter, the expected high nibbles and right
+    checksums. `counter` -1, none expected yet, gives None too.
+    """
+    if len(batch) != 128 or _bits(batch, "little") & _BITS_SENSORS != _KNOWN_SENSORS[counter]:
+        return None
+    (
+        sum_0, rest_0, sum_1, rest_1, sum_2, rest_2, sum_3, rest_3, sum_4, rest_4, sum_5, rest_5, sum_6, rest_6,
+        sum_7, rest_7,
+    ) = _sums_sensors(batch)
+    if (
+        _crc(rest_0, 0xDE) != sum_0
+        or _crc(rest_1, 0x92) != sum_1
+        or _crc(rest_2, 0x46) != sum_2
+        or _crc(rest_3, 0x0A) != sum_3
+        or _crc(rest_4, 0x1F) != sum_4
+        or _crc(rest_5, 0x53) != sum_5
+        or _crc(rest_6, 0x87) != sum_6
+        or _crc(rest_7, 0x77) != sum_7
+    ):
+        return None
+    (
+        speed_rad_s_0, speed_rad_s_1, speed_rad_s_2, speed_rad_s_3, rate_rad_s_4, rate_rad_s_5, rate_rad_s_6,
+        tick_7,
+    ) = _values_sensors(batch)
+    return (
+        (speed_rad_s_0 >> 8) * 0.001, (speed_rad_s_1 >> 8) * 0.001, (speed_rad_s_2 >> 8) * 0.001,
+        (speed_rad_s_3 >> 8) * 0.001, rate_rad_s_4 * 1e-09, rate_rad_s_5 * 1e-09, rate_rad_s_6 * 1e-09, tick_7,
+    )
+
+
+COMMANDS_SIZE = 80
+_BITS_COMMANDS, _KNOWN_COMMANDS = _know((
+    (_HEAD_RW1_CMD, 1), (_HEAD_RW2_CMD, 1), (_HEAD_RW3_CMD, 1), (_HEAD_RW4_CMD, 1), (_HEAD_CYCLE_DONE, None),
+))
+_sums_commands = Struct("<" + "8xB7s" * 5).unpack
+_values_commands = Struct("<8xxiBxx8xxiBxx8xxiBxx8xxiBxx8xxxIxx").unpack
+
+
+def decode_commands(batch: bytes, counter: int) -> tuple[float, float, float, float, int, int, int, int, int] | None:
+    """(torque, sync_cnt, tick) of the frames 0x110..0x113, 0x081..0x081, each signal frame by frame.
+
+    None unless these are exactly the frames, in this order, with this counter, the expected high nibbles and right
+    checksums. `counter` -1, none expected yet, gives None too.
+    """
+    if len(batch) != 80 or _bits(batch, "little") & _BITS_COMMANDS != _KNOWN_COMMANDS[counter]:
+        return None
+    (
+        sum_0, rest_0, sum_1, rest_1, sum_2, rest_2, sum_3, rest_3, sum_4, rest_4,
+    ) = _sums_commands(batch)
+    if (
+        _crc(rest_0, 0x17) != sum_0
+        or _crc(rest_1, 0x5B) != sum_1
+        or _crc(rest_2, 0x8F) != sum_2
+        or _crc(rest_3, 0xC3) != sum_3
+        or _crc(rest_4, 0x3B) != sum_4
+    ):
+        return None
+    (
+        torque_nm_0, sync_cnt_0, torque_nm_1, sync_cnt_1, torque_nm_2, sync_cnt_2, torque_nm_3, sync_cnt_3,
+        tick_4,
+    ) = _values_commands(batch)
+    return (
+        (torque_nm_0 >> 8) * 1e-07, (torque_nm_1 >> 8) * 1e-07, (torque_nm_2 >> 8) * 1e-07,
+        (torque_nm_3 >> 8) * 1e-07, sync_cnt_0, sync_cnt_1, sync_cnt_2, sync_cnt_3, tick_4,
+    )
 
 
 _LIMITS: dict[int, tuple[tuple[str, float, float, bool], ...]] = {

@@ -14,6 +14,7 @@ import types
 import typing
 from dataclasses import dataclass, field
 from functools import cache
+from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, TypeVar, Union
 
 from annotated_types import Ge, Gt, Le, Lt
@@ -119,6 +120,15 @@ def build(cls: type[T], data: object, where: str) -> T:
     if reading.problems:
         raise ConfigError(*(f"{where}: {join_key(p.path)}: {p.message}" for p in reading.problems))
     return typing.cast(T, reading.value)
+
+
+def build_file(cls: type[T], path: Path) -> T:
+    """The settings object that a JSON file describes. Raises ConfigError when it cannot be read or is wrong."""
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise ConfigError(f"{path}: cannot read settings: {error}") from None
+    return build(cls, data, str(path))
 
 
 def plain(value: Any) -> Any:

@@ -5,7 +5,6 @@ send, publish.
 from __future__ import annotations
 
 import math
-from struct import Struct
 
 from bus.telemetry import TickPacker
 from bus.units import Vec3, Vec4
@@ -14,14 +13,13 @@ from fsw.config import FswConfig
 from fsw.executive import ExecutiveCounters
 from fsw.guidance import Guidance
 from fsw.inputs import Inputs
-from fsw.interfaces import Demand, Detection, Estimate, Sensors
-from fsw.modes import Mode, ModeManager
+from fsw.interfaces import Demand, Estimate, Sensors
+from fsw.modes import POINT, STANDBY, Mode, ModeManager
 from fsw.outputs import Outputs
 from fsw.schedule import RateGroup, flight_schedule
-from fsw.telemetry import FIRST_CHANNEL, flatten, make_topics
+from fsw.telemetry import FIRST_CHANNEL, TICK_TOPICS, make_control_topics, make_flattener
 from fsw.wheel_axes import combine_wheels
 
-FRAME = Struct("=IB3x8s")
 NO_TORQUE: Vec4 = (0.0, 0.0, 0.0, 0.0)
 ZERO: Vec3 = (0.0, 0.0, 0.0)
 DEG_PER_RAD = 180.0 / math.pi
@@ -47,8 +45,12 @@ class Flight:
         self._control_s = tick_s * config.executive.control_divider
         self._damping_nm_s = config.modes.damping_nm_s
         self._wheel_momentum = model.wheel_momentum
-        self.topics = make_topics(self.controller.internals, self.detector.internals)
-        self._packer = TickPacker(self.topics, FIRST_CHANNEL)
+        law, detector = self.controller.internals, self.detector.internals
+        every_tick = TickPacker(TICK_TOPICS, FIRST_CHANNEL)
+        on_control = TickPacker(make_control_topics(law, detector), FIRST_CHANNEL + len(TICK_TOPICS))
+        self.packers = (every_tick, on_control)
+        self._pack, self._pack_control = every_tick.pack, on_control.pack
+        self._flatten_law, self._flatten_detector = make_flattener(law), make_flattener(detector)
         self.safe_requested = False
         self.dropped_ticks = 0
         self._reset_outputs()
@@ -58,28 +60,28 @@ class Flight:
         self.tau_cmd_b_nm: Vec3 = ZERO
         self.tau_fault_hat_b_nm: Vec3 = ZERO
         self.q_err: Vec4 = (1.0, 0.0, 0.0, 0.0)
-        self._mode_of_control = Mode.STANDBY
+        self._error_deg = 0.0
+        self._control_ran = False  # in the last cycle
+        self._mode_of_control = STANDBY
 
     def cycle(self, tick: int, batch: bytes) -> bytes:
         """Run the cycle of this tick on the frames received since the last; return the frames to send."""
-        sensors = self.inputs.receive(tick, list(FRAME.iter_unpack(batch)))
+        sensors = self.inputs.receive(tick, batch)
         estimate = self.estimator.step(sensors)
         self.detection = detection = self.detector.step(sensors, estimate, self.tau_rw_cmd_nm)
-        self.estimate = estimate = detection.estimate
-        mode = self._decide(sensors, estimate, detection)
-        if detection.rate_step_b_rad_s != ZERO:
-            self.observer.shift_rate(detection.rate_step_b_rad_s)
-        if self._control.due(tick):
+        estimate, rate_step_b_rad_s, _, _, _, request_safe, rate_good = detection
+        self.estimate = estimate
+        _, omega_bi_b_rad_s, _, valid = estimate
+        safe_requested = self.safe_requested or request_safe
+        mode = self.modes.step(valid and sensors.star_valid, rate_good, omega_bi_b_rad_s, safe_requested)
+        if rate_step_b_rad_s != ZERO:
+            self.observer.shift_rate(rate_step_b_rad_s)
+        self._control_ran = self._control.due(tick)
+        if self._control_ran:
             self._command(mode, sensors, estimate)
-        counters = self.executive
-        return self.outputs.commands(
-            tick, self.inputs.plant_tick & 0xFF, self.tau_rw_cmd_nm, mode is not Mode.STANDBY, mode, counters.slips
-        )
-
-    def _decide(self, sensors: Sensors, estimate: Estimate, detection: Detection) -> Mode:
-        attitude_good = estimate.valid and sensors.star_valid
-        safe = self.safe_requested or detection.request_safe
-        return self.modes.step(attitude_good, detection.rate_good, estimate.omega_bi_b_rad_s, safe)
+        sync_cnt = self.inputs.plant_tick & 0xFF
+        enabled = mode is not STANDBY
+        return self.outputs.commands(tick, sync_cnt, self.tau_rw_cmd_nm, enabled, mode, self.executive.slips)
 
     def _command(self, mode: Mode, sensors: Sensors, estimate: Estimate) -> None:
         """Observe, guide, control, allocate: everything that runs at the control rate."""
@@ -88,7 +90,7 @@ class Flight:
             self.observer.reset()
             self.controller.reset()
         rate = estimate.omega_bi_b_rad_s
-        if mode is Mode.POINT:
+        if mode is POINT:
             self.tau_fault_hat_b_nm = self.observer.step(
                 self._control_s, rate, self.tau_cmd_b_nm, self._wheel_momentum_b(sensors)
             )
@@ -103,9 +105,10 @@ class Flight:
         else:
             self.tau_rw_cmd_nm = self.allocator.limit(demand.tau_rw_nm)
         self.tau_cmd_b_nm = combine_wheels(self.tau_rw_cmd_nm)
+        self._error_deg = 2.0 * math.acos(min(1.0, abs(self.q_err[0]))) * DEG_PER_RAD
 
     def _damp(self, mode: Mode, omega_bi_b_rad_s: Vec3) -> Demand:
-        if mode is Mode.STANDBY or not self.detection.rate_good:
+        if mode is STANDBY or not self.detection.rate_good:
             return Demand(ZERO, NO_TORQUE)
         k = -self._damping_nm_s
         x, y, z = omega_bi_b_rad_s
@@ -115,15 +118,22 @@ class Flight:
         return combine_wheels(sensors.h_rw_nms) if self._wheel_momentum else ZERO
 
     def publish(self, tick: int, t_ns: int) -> bytes:
-        """The telemetry records of this cycle."""
-        estimate, detection, counters, refused = self.estimate, self.detection, self.executive, self.inputs.counters
-        q_err = self.q_err
-        error_deg = 2.0 * math.acos(min(1.0, abs(q_err[0]))) * DEG_PER_RAD
-        return self._packer.pack(
-            tick, t_ns, *estimate.q_ib, *estimate.omega_bi_b_rad_s, *estimate.bias_b_rad_s, *q_err, error_deg,
-            *self.tau_cmd_b_nm, *self.tau_rw_cmd_nm, *self.tau_fault_hat_b_nm,
-            *detection.fault_hat_b_rad_s, *detection.gyro_state, *detection.wheel_alarm,
-            tick, self.modes.mode, counters.slips, refused.refused, refused.foreign, refused.implausible,
+        """The telemetry records of this cycle: those of every tick, and those of control where it ran."""
+        q_ib, omega_bi_b_rad_s, bias_b_rad_s, _ = self.estimate
+        _, _, gyro_state, wheel_alarm, fault_hat_b_rad_s, _, _ = self.detection
+        counters = self.executive
+        records = self._pack(
+            tick, t_ns, *q_ib, *omega_bi_b_rad_s, *bias_b_rad_s, *self.q_err, self._error_deg,
+            *fault_hat_b_rad_s, *gyro_state, *wheel_alarm,
             counters.last_cycle_ns * 1e-3, counters.max_cycle_ns * 1e-3, counters.last_lateness_ns * 1e-3,
-            self.dropped_ticks, *flatten(self.controller.internals), *flatten(self.detector.internals),
+            self.dropped_ticks,
+        )  # fmt: skip
+        return records + self._publish_control(tick, t_ns) if self._control_ran else records
+
+    def _publish_control(self, tick: int, t_ns: int) -> bytes:
+        refused = self.inputs.counters
+        return self._pack_control(
+            tick, t_ns, *self.tau_cmd_b_nm, *self.tau_rw_cmd_nm, *self.tau_fault_hat_b_nm,
+            tick, self.modes.mode, self.executive.slips, refused.refused, refused.foreign, refused.implausible,
+            *self._flatten_law(self.controller.internals), *self._flatten_detector(self.detector.internals),
         )  # fmt: skip

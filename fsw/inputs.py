@@ -2,6 +2,9 @@
 
 A frame is used only if its length, checksum and alive counter are right. What does not arrive is held at its last good
 value for `stale_after_ticks`, then marked not valid. Nothing that comes from the bus can raise out of here.
+
+Two ways lead to the same result. `_receive_usual` takes the batch of a tick on which every unit spoke in its turn, all
+at once. Whatever differs from that in one bit goes frame by frame through `_receive_each`.
 """
 
 from __future__ import annotations
@@ -9,25 +12,35 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from struct import Struct
+from typing import Any, TypeVar
 
-from bus.e2e import Link
-from bus.icd_codec import DECODERS
+from bus.e2e import Link, LinkGroup
+from bus.icd_codec import DECODERS, SENSORS_SIZE, decode_sensors
 from bus.units import Vec3, Vec4
 from fsw.config import FswConfig
 from fsw.interfaces import Sensors
 
 Values = tuple[int | float, ...]  # (counter, high nibble, payload...) as the decoder returns them
 Handler = Callable[[Values], None]
+T = TypeVar("T", bound=tuple[Any, ...])
 
 FOG_IDS = (0x1A0, 0x1A1, 0x1A2)
 WHEEL_IDS = (0x190, 0x191, 0x192, 0x193)
 STAR_A_ID, STAR_B_ID = 0x1B0, 0x1B1
 SYNC_ID, TIME_ID, HEARTBEAT_PLANT_ID = 0x080, 0x100, 0x701
+GROUP_IDS = (*WHEEL_IDS, *FOG_IDS, SYNC_ID)  # the frames of every tick, in the order in which the plant sends them
+
+FRAME = Struct("=IB3x8s")
+FRAME_SIZE = FRAME.size
+UNITS_SIZE = SENSORS_SIZE - FRAME_SIZE  # of the group without SYNC, which goes behind whatever else the tick brings
 
 STATUS_OK = 0
 STAR_NOT_VALID = 15
 QUATERNION_NORM_TOLERANCE = 0.01  # a pair of halves further from unit norm than this is not an attitude
 NEVER = -(10**9)  # tick of a unit that has not been heard yet
+ALL_AXES = (True, True, True)
+ALL_WHEELS = (True, True, True, True)
 
 
 @dataclass(slots=True)
@@ -62,28 +75,99 @@ class Inputs:
 
     def reset(self) -> None:
         """Forget everything heard, as after boot."""
-        self.links = {can_id: Link(DECODERS[can_id]) for can_id in self._handlers}
-        self._slots = {can_id: (self.links[can_id].accept, handler) for can_id, handler in self._handlers.items()}
+        self._links = {can_id: Link(DECODERS[can_id]) for can_id in self._handlers}
+        self._slots = {can_id: (self._links[can_id].accept, handler) for can_id, handler in self._handlers.items()}
+        self._group = LinkGroup([self._links[can_id] for can_id in GROUP_IDS])
         self.counters = InputCounters()
         self.plant_tick = -1
         self.plant_state = 0
         self.run_hash = 0
         self._tick = 0
-        self._rate = [0.0, 0.0, 0.0]
-        self._rate_tick = [NEVER] * 3
-        self._speed = [0.0, 0.0, 0.0, 0.0]
-        self._speed_tick = [NEVER] * 4
+        self._rate: Vec3 = (0.0, 0.0, 0.0)
+        self._rate_tick = (NEVER, NEVER, NEVER)
+        self._speed: Vec4 = (0.0, 0.0, 0.0, 0.0)
+        self._speed_tick = (NEVER, NEVER, NEVER, NEVER)
         self._star_a: tuple[int, int, float, float] | None = None
         self._q: Vec4 = (1.0, 0.0, 0.0, 0.0)
         self._q_tick = NEVER  # tick at which the attitude was measured
         self._q_new = False
 
-    def receive(self, tick: int, frames: list[tuple[int, int, bytes]]) -> Sensors:
-        """Everything that is known at this tick, after the given frames (id, length, data)."""
+    @property
+    def links(self) -> dict[int, Link]:
+        """What has been received, by frame id."""
+        self._group.part()
+        return self._links
+
+    def receive(self, tick: int, batch: bytes) -> Sensors:
+        """Everything that is known at this tick, after the given frames."""
         self._tick = tick
         self._q_new = False
+        if len(batch) == SENSORS_SIZE:
+            return self._receive_usual(tick, batch, b"") or self._receive_each(tick, batch)
+        between = batch[UNITS_SIZE:-FRAME_SIZE]
+        if _is_apart(between):
+            usual = self._receive_usual(tick, batch[:UNITS_SIZE] + batch[-FRAME_SIZE:], between)
+            if usual is not None:
+                return usual
+        return self._receive_each(tick, batch)
+
+    def _receive_usual(self, tick: int, batch: bytes, between: bytes) -> Sensors | None:
+        """Take the frames of a tick on which every unit reports a good value, in order; None when they are not that.
+
+        between : frames of other units that stood ahead of SYNC
+        """
+        values = decode_sensors(batch, self._group.expected)
+        if values is None:
+            return None
+        s1, s2, s3, s4, x, y, z, plant_tick = values
+        top = self._speed_limit_rad_s
+        if not (-top <= s1 <= top and -top <= s2 <= top and -top <= s3 <= top and -top <= s4 <= top):
+            return None
+        self._group.accept()
+        self.plant_tick = plant_tick
+        self._rate = rate = (x, y, z)
+        self._rate_tick = (tick, tick, tick)
+        self._speed = speed = (s1, s2, s3, s4)
+        self._speed_tick = (tick, tick, tick, tick)
+        if between:
+            self._take(between)
+        age_s = (tick - self._q_tick) * self._tick_s
+        i = self._rotor_inertia_kgm2
+        momentum = (s1 * i, s2 * i, s3 * i, s4 * i)
+        return tuple.__new__(
+            Sensors,
+            (tick, tick * self._tick_s, rate, ALL_AXES, self._q, self._q_new, age_s <= self._star_hold_s, age_s,
+             speed, ALL_WHEELS, momentum),
+        )  # fmt: skip
+
+    def _receive_each(self, tick: int, batch: bytes) -> Sensors:
+        """Take any frames, one by one."""
+        self._group.part()
+        self._take(batch)
+        self._group.join()
+        oldest = tick - self._hold_ticks
+        rx, ry, rz = self._rate_tick
+        w1, w2, w3, w4 = self._speed_tick
+        s1, s2, s3, s4 = self._speed
+        age_s = (tick - self._q_tick) * self._tick_s
+        inertia = self._rotor_inertia_kgm2
+        return Sensors(
+            tick,
+            tick * self._tick_s,
+            self._rate,
+            (rx >= oldest, ry >= oldest, rz >= oldest),
+            self._q,
+            self._q_new,
+            age_s <= self._star_hold_s,
+            age_s,
+            self._speed,
+            (w1 >= oldest, w2 >= oldest, w3 >= oldest, w4 >= oldest),
+            (s1 * inertia, s2 * inertia, s3 * inertia, s4 * inertia),
+        )
+
+    def _take(self, frames: bytes) -> None:
         slots = self._slots
-        for can_id, length, data in frames:
+        for can_id, length, data in FRAME.iter_unpack(frames):
             slot = slots.get(can_id)
             if slot is None:
                 self.counters.foreign += 1
@@ -93,29 +177,6 @@ class Inputs:
                 self.counters.refused += 1
             else:
                 slot[1](values)
-        return self._sensors(tick)
-
-    def _sensors(self, tick: int) -> Sensors:
-        oldest = tick - self._hold_ticks
-        rx, ry, rz = self._rate_tick
-        w1, w2, w3, w4 = self._speed_tick
-        rate: Vec3 = tuple(self._rate)  # type: ignore[assignment]
-        s1, s2, s3, s4 = self._speed
-        age_s = (tick - self._q_tick) * self._tick_s
-        inertia = self._rotor_inertia_kgm2
-        return Sensors(
-            tick,
-            tick * self._tick_s,
-            rate,
-            (rx >= oldest, ry >= oldest, rz >= oldest),
-            self._q,
-            self._q_new,
-            age_s <= self._star_hold_s,
-            age_s,
-            (s1, s2, s3, s4),
-            (w1 >= oldest, w2 >= oldest, w3 >= oldest, w4 >= oldest),
-            (s1 * inertia, s2 * inertia, s3 * inertia, s4 * inertia),
-        )
 
     # -- one handler a message -------------------------------------------------------------------------------------
 
@@ -138,8 +199,8 @@ class Inputs:
             if values[1] != STATUS_OK:
                 self.counters.unit_fault += 1
                 return
-            self._rate[axis] = values[2]
-            self._rate_tick[axis] = self._tick
+            self._rate = _replace(self._rate, axis, values[2])
+            self._rate_tick = _replace(self._rate_tick, axis, self._tick)
 
         return on_fog
 
@@ -149,8 +210,8 @@ class Inputs:
             if not -self._speed_limit_rad_s <= speed_rad_s <= self._speed_limit_rad_s:
                 self.counters.implausible += 1
                 return
-            self._speed[wheel] = speed_rad_s
-            self._speed_tick[wheel] = self._tick
+            self._speed = _replace(self._speed, wheel, speed_rad_s)
+            self._speed_tick = _replace(self._speed_tick, wheel, self._tick)
 
         return on_wheel
 
@@ -175,3 +236,15 @@ class Inputs:
         self._q = (q0 / norm, q1 / norm, q2 / norm, q3 / norm)
         self._q_tick = self._tick - age_ticks
         self._q_new = True
+
+
+def _replace(values: T, index: int, value: float) -> T:
+    """Return the tuple with another value at that index."""
+    return (*values[:index], value, *values[index + 1 :])  # type: ignore[return-value]
+
+
+def _is_apart(frames: bytes) -> bool:
+    """Return whether these are whole frames and none of the group's, so that either may be looked at first."""
+    if not frames or len(frames) % FRAME_SIZE:
+        return False
+    return all(can_id not in GROUP_IDS for can_id, _, _ in FRAME.iter_unpack(frames))

@@ -2,6 +2,8 @@
 
 Everything is a plain tuple of floats: shapes stand in the comments, vectors are in body axes unless named otherwise.
 An algorithm is deterministic: no clock, no random numbers, no input or output of its own.
+
+What every cycle makes is made by `tuple.__new__(Sensors, (...))`, at a third of the cost of calling the class.
 """
 
 from __future__ import annotations

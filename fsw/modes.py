@@ -25,6 +25,9 @@ class Mode(IntEnum):
     SAFE = 3
 
 
+STANDBY, DETUMBLE, POINT, SAFE = Mode  # for every cycle: `Mode.SAFE` is looked up through a property in Python 3.11
+
+
 class ModeManager:
     """Decides the mode of every cycle and remembers why it last changed."""
 
@@ -37,7 +40,7 @@ class ModeManager:
 
     def reset(self) -> None:
         """Back to standby, as after boot."""
-        self.mode = Mode.STANDBY
+        self.mode = STANDBY
         self.reason = "boot"
         self.changes = 0
         self._good_ticks = 0
@@ -51,26 +54,26 @@ class ModeManager:
         good = attitude_good and rate_good and not safe_requested
         self._good_ticks = self._good_ticks + 1 if good else 0
         mode = self.mode
-        if mode is Mode.SAFE:
-            if self._initial is not Mode.SAFE and self._good_ticks >= self._recover_after:
-                self._enter(Mode.STANDBY, "sensors good again")
-        elif mode is Mode.STANDBY:
+        if mode is SAFE:
+            if self._initial is not SAFE and self._good_ticks >= self._recover_after:
+                self._enter(STANDBY, "sensors good again")
+        elif mode is STANDBY:
             if safe_requested:
-                self._enter(Mode.SAFE, "safe mode requested")
-            elif good and self._initial is not Mode.STANDBY:
+                self._enter(SAFE, "safe mode requested")
+            elif good and self._initial is not STANDBY:
                 self._enter(self._start(omega_bi_b_rad_s), "sensors good")
         elif not good:
-            self._enter(Mode.SAFE, _why(attitude_good, rate_good))
-        elif mode is Mode.DETUMBLE:
-            if _norm(omega_bi_b_rad_s) < self._point_below_rad_s and self._initial is not Mode.DETUMBLE:
-                self._enter(Mode.POINT, "rate low")
+            self._enter(SAFE, _why(attitude_good, rate_good))
+        elif mode is DETUMBLE:
+            if _norm(omega_bi_b_rad_s) < self._point_below_rad_s and self._initial is not DETUMBLE:
+                self._enter(POINT, "rate low")
         elif _norm(omega_bi_b_rad_s) > self._detumble_above_rad_s:
-            self._enter(Mode.DETUMBLE, "rate high")
+            self._enter(DETUMBLE, "rate high")
         return self.mode
 
     def _start(self, omega_bi_b_rad_s: Vec3) -> Mode:
-        if self._initial is Mode.POINT and _norm(omega_bi_b_rad_s) > self._detumble_above_rad_s:
-            return Mode.DETUMBLE
+        if self._initial is POINT and _norm(omega_bi_b_rad_s) > self._detumble_above_rad_s:
+            return DETUMBLE
         return self._initial
 
     def _enter(self, mode: Mode, reason: str) -> None:

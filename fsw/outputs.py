@@ -39,4 +39,4 @@ class Outputs:
         batch = encode_rw_cmds(counter, WHEEL_TORQUE if enabled else WHEEL_OFF, tau_rw_cmd_nm, sync_cnt)
         if tick % self._heartbeat_ticks == 0:
             batch += self.heartbeat(STATE_OPERATIONAL)
-        return batch + encode_CYCLE_DONE(counter, mode, tick, min(slips, 0xFFFF))
+        return batch + encode_CYCLE_DONE(counter, mode, tick, slips)  # more slips than fit are sent as 0xFFFF

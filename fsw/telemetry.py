@@ -1,7 +1,12 @@
-"""Publish: the telemetry topics of the flight software and the values that go into them, one record a tick each."""
+"""Publish: the telemetry topics of the flight software, by the rate group whose work they show.
+
+One record a tick: /fsw/attitude, /fsw/fdi, /fsw/timing. One record a control period, on the ticks on which control ran:
+/fsw/control, /fsw/observer, /fsw/executive, /fsw/law, /fsw/detector. With control_divider 1 that is the same.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from bus.telemetry import Field, Topic
@@ -66,9 +71,11 @@ TIMING = Topic(
     deterministic=False,
 )
 
+TICK_TOPICS = (ATTITUDE, DETECTION, TIMING)
 
-def make_topics(law: tuple[Any, ...], detector: tuple[Any, ...]) -> tuple[Topic, ...]:
-    """Every topic of this flight software; the last two carry what the chosen law and detector hold inside.
+
+def make_control_topics(law: tuple[Any, ...], detector: tuple[Any, ...]) -> tuple[Topic, ...]:
+    """The topics of the control rate group; the last two carry what the chosen law and detector hold inside.
 
     law, detector : their `internals`, named tuples of numbers and tuples of numbers; only names and shapes count here
     """
@@ -76,8 +83,7 @@ def make_topics(law: tuple[Any, ...], detector: tuple[Any, ...]) -> tuple[Topic,
         internals_topic("/fsw/law", "hilsat/FswLaw", law),
         internals_topic("/fsw/detector", "hilsat/FswDetector", detector),
     )
-    shown = tuple(topic for topic in inside if topic.fields)
-    return (ATTITUDE, CONTROL, OBSERVER, DETECTION, EXECUTIVE, TIMING, *shown)
+    return (CONTROL, OBSERVER, EXECUTIVE, *(topic for topic in inside if topic.fields))
 
 
 def internals_topic(name: str, schema_name: str, internals: tuple[Any, ...]) -> Topic:
@@ -87,12 +93,8 @@ def internals_topic(name: str, schema_name: str, internals: tuple[Any, ...]) -> 
     return Topic(name, schema_name, fields)
 
 
-def flatten(internals: tuple[Any, ...]) -> list[float]:
-    """The numbers of a named tuple in order."""
-    flat: list[float] = []
-    for value in internals:
-        if type(value) is tuple:
-            flat += value
-        else:
-            flat.append(value)
-    return flat
+def make_flattener(internals: tuple[Any, ...]) -> Callable[[tuple[Any, ...]], tuple[float, ...]]:
+    """A function that gives the numbers of such a named tuple in order. Shapes are fixed, so no value is looked at."""
+    parts = [f"*v[{i}]" if isinstance(value, tuple) else f"v[{i}]" for i, value in enumerate(internals)]
+    flatten: Callable[[tuple[Any, ...]], tuple[float, ...]] = eval(f"lambda v: ({', '.join([*parts, ''])})")
+    return flatten

@@ -14,9 +14,11 @@ from collections import deque
 from dataclasses import dataclass
 from struct import Struct
 
-from bus.e2e import Link
+from bus.e2e import Link, LinkGroup
 from bus.icd_codec import (
+    COMMANDS_SIZE,
     DECODERS,
+    decode_commands,
     encode_fogs,
     encode_HEARTBEAT_PLANT,
     encode_rw_tlms,
@@ -26,17 +28,21 @@ from bus.icd_codec import (
     encode_TIME,
 )
 from plant_server.plant import Plant, Samples
+from plant_server.star_tracker import StarFrame
 
 FRAME = Struct("=IB3x8s")
 FRAME_SIZE = FRAME.size
 COUNTER_PERIOD = 15
 COMMAND_IDS = {0x110: 0, 0x111: 1, 0x112: 2, 0x113: 3}
 CYCLE_DONE_ID, HEARTBEAT_FSW_ID = 0x081, 0x702
+GROUP_IDS = (*COMMAND_IDS, CYCLE_DONE_ID)  # the frames of every tick, in the order in which they come
+WHEELS_SIZE = COMMANDS_SIZE - FRAME_SIZE  # of the group without CYCLE_DONE, which comes behind whatever else there is
 STATE_STOPPED, STATE_OPERATIONAL, STATE_PRE_OPERATIONAL, STATE_FAILED = 4, 5, 127, 128
 STAR_NOT_VALID = 15
 HEARTBEAT_S = 1.0
 Torques = tuple[float | None, float | None, float | None, float | None]  # None: no command
 NO_TORQUE: Torques = (0.0, 0.0, 0.0, 0.0)
+NEVER = -(10**9)  # tick of a command that has not come yet
 
 
 @dataclass(slots=True)
@@ -48,14 +54,6 @@ class ServerCounters:
     foreign: int = 0  # not for the plant
     too_old: int = 0  # a command whose SYNC_CNT is older than allowed
     timeouts: int = 0  # wheel-ticks without a fresh enough command
-
-
-@dataclass(slots=True)
-class Command:
-    """The last command that one wheel took."""
-
-    torque_nm: float = 0.0
-    tick: int = -(10**9)  # tick at which it was received
 
 
 class PlantServer:
@@ -76,7 +74,8 @@ class PlantServer:
         config = plant.config
         self._timeout_ticks = config.command_timeout_ticks
         self._max_age_ticks = config.command_max_age_ticks
-        self._commands = [Command() for _ in COMMAND_IDS]
+        self._torques_nm = (0.0, 0.0, 0.0, 0.0)  # of the last command that each wheel took
+        self._torque_ticks = (NEVER, NEVER, NEVER, NEVER)  # ticks at which they were received
         self._delay: deque[Torques] = deque([NO_TORQUE] * config.command_latency_ticks)
         self.begin()
 
@@ -84,7 +83,8 @@ class PlantServer:
         """Forget the frames of the meeting: the run's own count starts here."""
         self.counters = ServerCounters()
         self._slow_counter = 0
-        self._links = {can_id: Link(DECODERS[can_id]) for can_id in (*COMMAND_IDS, CYCLE_DONE_ID, HEARTBEAT_FSW_ID)}
+        self._links = {can_id: Link(DECODERS[can_id]) for can_id in (*GROUP_IDS, HEARTBEAT_FSW_ID)}
+        self._group = LinkGroup([self._links[can_id] for can_id in GROUP_IDS])
 
     def heartbeat(self, state: int) -> bytes:
         """One heartbeat frame of the plant."""
@@ -99,25 +99,24 @@ class PlantServer:
         counter = tick % COUNTER_PERIOD
         self.samples = samples = self.plant.sample()
         self.truth = self.plant.truth()
-        a, b, c, d = samples.wheel_current_a
-        current_ma = (a * 1e3, b * 1e3, c * 1e3, d * 1e3)
-        wheels = encode_rw_tlms(counter, samples.wheel_status, samples.wheel_speed_rad_s, current_ma, sync_cnt)
-        fogs = encode_fogs(counter, samples.gyro_status, samples.gyro_rate_rad_s, sync_cnt)
-        if samples.any_silent:
-            wheels = _leave_out(wheels, samples.wheel_silent)
-            fogs = _leave_out(fogs, samples.gyro_silent)
+        _, rate, gyro_status, gyro_silent, star, speed, current, wheel_status, wheel_silent, any_silent, _ = samples
+        a, b, c, d = current
+        wheels = encode_rw_tlms(counter, wheel_status, speed, (a * 1e3, b * 1e3, c * 1e3, d * 1e3), sync_cnt)
+        fogs = encode_fogs(counter, gyro_status, rate, sync_cnt)
+        if any_silent:
+            wheels = _leave_out(wheels, wheel_silent)
+            fogs = _leave_out(fogs, gyro_silent)
         batch = wheels + fogs
-        if samples.star is not None:
-            batch += self._star_frames(samples)
+        if star is not None:
+            batch += self._star_frames(star)
         if tick % self._heartbeat_ticks == 0:
             batch += self._slow_frames(tick)
         return batch + encode_SYNC(counter, 0, tick)
 
-    def _star_frames(self, samples: Samples) -> bytes:
+    def _star_frames(self, star: StarFrame) -> bytes:
         counter = self._star_counter
         self._star_counter = (counter + 1) % COUNTER_PERIOD
-        assert samples.star is not None
-        q, age_ticks = samples.star
+        q, age_ticks = star
         return encode_STR_QA(counter, age_ticks, q[0], q[1]) + encode_STR_QB(counter, age_ticks, q[2], q[3])
 
     def _slow_frames(self, tick: int) -> bytes:
@@ -126,7 +125,43 @@ class PlantServer:
         return encode_TIME(counter, 0, int(seconds), fraction) + self.heartbeat(STATE_OPERATIONAL)
 
     def accept(self, batch: bytes) -> bool:
-        """Take the frames that came in. True once CYCLE_DONE of the present tick is among them."""
+        """Take the frames that came in. True once CYCLE_DONE of the present tick is among them.
+
+        A batch that is just what a cycle sends is taken at once; whatever differs from that in one bit, frame by frame.
+        """
+        if len(batch) == COMMANDS_SIZE:
+            if not self._accept_usual(batch):
+                self._accept_each(batch)
+        else:
+            between = batch[WHEELS_SIZE:-FRAME_SIZE]
+            if _is_apart(between) and self._accept_usual(batch[:WHEELS_SIZE] + batch[-FRAME_SIZE:]):
+                self._take(between)
+            else:
+                self._accept_each(batch)
+        return self.done_tick == self.tick
+
+    def _accept_usual(self, batch: bytes) -> bool:
+        """Take four torque commands of one age and CYCLE_DONE; False when the batch is not that."""
+        values = decode_commands(batch, self._group.expected)
+        if values is None:
+            return False
+        a, b, c, d, sync_cnt, sync_b, sync_c, sync_d, done_tick = values
+        tick = self.tick
+        if (tick - sync_cnt) & 0xFF > self._max_age_ticks or not sync_cnt == sync_b == sync_c == sync_d:
+            return False
+        self._group.accept()
+        self.counters.accepted += len(GROUP_IDS)
+        self._torques_nm = (a, b, c, d)
+        self._torque_ticks = (tick, tick, tick, tick)
+        self.done_tick = done_tick
+        return True
+
+    def _accept_each(self, batch: bytes) -> None:
+        self._group.part()
+        self._take(batch)
+        self._group.join()
+
+    def _take(self, batch: bytes) -> None:
         counters = self.counters
         for can_id, length, data in FRAME.iter_unpack(batch):
             link = self._links.get(can_id)
@@ -144,34 +179,44 @@ class PlantServer:
                 self.fsw_state, self.fsw_run_hash = values[2], values[3]
             else:
                 self._take_command(COMMAND_IDS[can_id], values)
-        return self.done_tick == self.tick
 
     def _take_command(self, wheel: int, values: tuple[int | float, ...]) -> None:
         _, mode, torque_nm, sync_cnt = values
         if (self.tick - int(sync_cnt)) & 0xFF > self._max_age_ticks:
             self.counters.too_old += 1
             return
-        command = self._commands[wheel]
-        command.torque_nm = torque_nm if mode == 1 else 0.0
-        command.tick = self.tick
+        torques, ticks = list(self._torques_nm), list(self._torque_ticks)
+        torques[wheel] = torque_nm if mode == 1 else 0.0
+        ticks[wheel] = self.tick
+        self._torques_nm = (torques[0], torques[1], torques[2], torques[3])
+        self._torque_ticks = (ticks[0], ticks[1], ticks[2], ticks[3])
 
     def advance(self) -> None:
         """Let the wheels act on their commands for one tick and move the truth to the next."""
         oldest = self.tick - self._timeout_ticks
-        a, b, c, d = self._commands
-        torques: Torques = (
-            a.torque_nm if a.tick > oldest else None,
-            b.torque_nm if b.tick > oldest else None,
-            c.torque_nm if c.tick > oldest else None,
-            d.torque_nm if d.tick > oldest else None,
-        )
-        if None in torques:
+        torques: Torques = self._torques_nm
+        a, b, c, d = self._torque_ticks
+        if not (a > oldest and b > oldest and c > oldest and d > oldest):
+            t1, t2, t3, t4 = torques
+            torques = (
+                t1 if a > oldest else None,
+                t2 if b > oldest else None,
+                t3 if c > oldest else None,
+                t4 if d > oldest else None,
+            )
             self.counters.timeouts += torques.count(None)
         if self._delay:
             self._delay.append(torques)
             torques = self._delay.popleft()
         self.plant.step(torques)
         self.tick += 1
+
+
+def _is_apart(frames: bytes) -> bool:
+    """Return whether these are whole frames and none of the group's, so that either may be looked at first."""
+    if not frames or len(frames) % FRAME_SIZE:
+        return False
+    return all(can_id not in GROUP_IDS for can_id, _, _ in FRAME.iter_unpack(frames))
 
 
 def _leave_out(batch: bytes, silent: tuple[bool, ...]) -> bytes:

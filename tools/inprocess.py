@@ -9,9 +9,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from bus.telemetry import Link, TelemetryLink, TickPacker, announce_topics
+from bus.telemetry import Link, TelemetryLink, announce_topics
 from fsw.flight import Flight
-from fsw.telemetry import FIRST_CHANNEL
 from fsw.telemetry import SOURCE as FSW_SOURCE
 from plant_server.plant import Plant
 from plant_server.server import PlantServer
@@ -36,7 +35,7 @@ class Bench:
         self.flight = Flight(scenario.fsw, tick_s, resolved.run_hash)
         self._plant_log = PlantLog(self.server, plant_link or TelemetryLink(None, PLANT_SOURCE, False), self._tick_ns)
         self._fsw_link = fsw_link or TelemetryLink(None, FSW_SOURCE, False)
-        self._fsw_link.announce(announce_topics([TickPacker(self.flight.topics, FIRST_CHANNEL)]))
+        self._fsw_link.announce(announce_topics(self.flight.packers))
 
     def run(self, ticks: int, on_progress: Callable[[int], None] | None = None) -> None:
         """Run that many ticks from where the bench stands."""

@@ -53,14 +53,12 @@ class Direct:
 
     def step(self, sensors: Sensors) -> Estimate:
         """Return attitude and rate [rad/s]; valid once an attitude was seen, while star tracker and gyro are good."""
-        omega = sensors.omega_meas_b_rad_s
-        if sensors.star_new:
+        _, t_s, omega, (valid_x, valid_y, valid_z), q_ib_meas, star_new, star_valid, age_s, *_ = sensors
+        if star_new:
             self._known = True
-            age_s = sensors.star_age_s
-            self._q = turn_attitude(sensors.q_ib_meas, omega, age_s) if age_s > 0.0 else sensors.q_ib_meas
+            self._q = turn_attitude(q_ib_meas, omega, age_s) if age_s > 0.0 else q_ib_meas
         elif self._known:
-            self._q = turn_attitude(self._q, omega, sensors.t_s - self._t_s)
-        self._t_s = sensors.t_s
-        valid_x, valid_y, valid_z = sensors.gyro_valid
-        valid = self._known and sensors.star_valid and valid_x and valid_y and valid_z
-        return Estimate(self._q, omega, ZERO, valid)
+            self._q = turn_attitude(self._q, omega, t_s - self._t_s)
+        self._t_s = t_s
+        valid = self._known and star_valid and valid_x and valid_y and valid_z
+        return tuple.__new__(Estimate, (self._q, omega, ZERO, valid))

@@ -22,8 +22,8 @@ class WheelSet:
 
     __slots__ = (
         "_axes", "_dirty", "_inverse_inertia", "_next_look", "_nominal_axes", "_reach", "_simple", "_step_s",
-        "_tacho", "_wheels", "axes_b", "command_nm", "commanded", "h_b_nms", "h_nms", "silent", "speed_rad_s",
-        "torque_b_nm", "torque_nm",
+        "_tacho", "_wheels", "axes_b", "command_b_nm", "command_nm", "commanded", "h_b_nms", "h_nms", "silent",
+        "speed_rad_s", "torque_b_nm", "torque_nm",
     )  # fmt: skip
 
     def __init__(
@@ -50,8 +50,9 @@ class WheelSet:
         self.h_nms: Vec4 = (h[0], h[1], h[2], h[3])
         self.h_b_nms = self.combine(self.h_nms)
         self.speed_rad_s: Vec4 = ZERO
-        self.measure_speed(omega_bi_b_rad_s)
+        self._measure_speed(omega_bi_b_rad_s)
         self.command_nm: Vec4 = ZERO
+        self.command_b_nm = self.combine_nominal(ZERO)  # what it would be on the body with nominal axes
         self.silent = (False, False, False, False)  # which wheels send no telemetry
         self.commanded = (False, False, False, False)  # nothing has come yet
         self.torque_nm: Vec4 = ZERO
@@ -96,6 +97,7 @@ class WheelSet:
         command = (a or 0.0, b or 0.0, c or 0.0, d or 0.0)
         if command != self.command_nm:
             self.command_nm = command
+            self.command_b_nm = self.combine_nominal(command)
             self._dirty = True
 
     def look_again(self) -> None:
@@ -131,15 +133,19 @@ class WheelSet:
         self.silent = (a.silent, b.silent, c.silent, d.silent)
         self._dirty = True
 
-    def spin(self, h_b_nms: Vec3) -> None:
-        """Advance the rotors' momentum by one step with the torque that `drive` set; h_b_nms is its sum by then."""
+    def spin(self, h_b_nms: Vec3, omega_bi_b_rad_s: Vec3) -> None:
+        """Advance the rotors' momentum by one step with the torque that `drive` set.
+
+        h_b_nms, omega_bi_b_rad_s : its sum and the body's rate by then
+        """
         a, b, c, d = self.h_nms
         t1, t2, t3, t4 = self.torque_nm
         dt = self._step_s
         self.h_nms = (a - t1 * dt, b - t2 * dt, c - t3 * dt, d - t4 * dt)
         self.h_b_nms = h_b_nms
+        self._measure_speed(omega_bi_b_rad_s)
 
-    def measure_speed(self, omega_bi_b_rad_s: Vec3) -> None:
+    def _measure_speed(self, omega_bi_b_rad_s: Vec3) -> None:
         """Set the speeds relative to a body that turns at omega."""
         x, y, z = omega_bi_b_rad_s
         a, b, c, d = self.h_nms
