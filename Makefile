@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 SCENARIO ?= zhang2018
 
-.PHONY: run test test-all test-vcan lint coverage clean setup
+.PHONY: run setup test test-slow test-all test-vcan lint coverage coverage-gate clean
 
 run: $(STAMP)
 	$(BIN)/hilsat run $(SCENARIO)
@@ -27,8 +27,10 @@ $(STAMP): pyproject.toml
 test: $(STAMP)
 	$(BIN)/python -m pytest -n auto -m "not slow and not vcan and not vcan_host"
 
-test-all: $(STAMP)
-	$(BIN)/python -m pytest -n auto -m "not vcan and not vcan_host"
+test-slow: $(STAMP)
+	$(BIN)/python -m pytest -n auto -m "slow and not vcan and not vcan_host"
+
+test-all: test test-slow test-vcan
 
 # Real AF_CAN: natively where the kernel has CAN, else in a user-mode Linux guest; fails where neither works.
 test-vcan: $(STAMP)
@@ -40,6 +42,12 @@ lint: $(STAMP)
 
 coverage: $(STAMP)
 	$(BIN)/python -m pytest -n auto -m "not slow and not vcan and not vcan_host" --cov --cov-report=term --cov-report=html
+
+# What must never fail is covered whole: every line and branch of executive, codec and safe mode.
+coverage-gate: $(STAMP)
+	$(BIN)/python -m pytest -q tests/unit/test_executive.py tests/unit/test_modes.py tests/unit/test_e2e.py \
+	  tests/property/test_codec.py --cov=fsw.executive --cov=fsw.schedule --cov=fsw.modes --cov=bus.icd_codec --cov=bus.e2e \
+	  --cov-branch --cov-report=term-missing --cov-fail-under=100
 
 clean:
 	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis htmlcov .coverage*

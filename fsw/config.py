@@ -165,8 +165,8 @@ class VariableStructureConfig:
     __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
 
     kind: Literal["variable_structure"]
-    k: Positive = 0.16  # [rad/s]
-    epsilon: Positive = 0.02  # boundary layer [rad/s]
+    k: Positive = 0.12  # [rad/s]
+    epsilon: Positive = 0.003  # boundary layer [rad/s]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

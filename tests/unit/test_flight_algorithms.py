@@ -134,7 +134,7 @@ def test_scaled_gains_keep_the_time_constant(period_s: float) -> None:
     hold on either side comes on top of it.
     """
     config = scale_gains(IloConfig(kind="ilo"), period_s)
-    t, v = estimate_step(config, 8.0)
+    _, v = estimate_step(config, 8.0)
     assert v[-1] == pytest.approx(0.02, rel=2e-3)  # lambda takes 0.1/140 of it
     delay_s = float(np.sum(1.0 - v / v[-1])) * period_s
     assert delay_s == pytest.approx(37.0 / 140.0, abs=1.1 * period_s + 1e-3)
@@ -232,12 +232,12 @@ def test_profile_stops_at_the_target_within_its_deceleration() -> None:
     axis = (0.48, 0.6, 0.64)
     authority = find_authority(tuple((np.array(J) @ axis).tolist()), (0.1, 0.1, 0.1, 0.1))
     a = (1.0 - config.reserve) * authority[0] + config.reserve * authority[1]
-    angles = np.linspace(0.0, math.pi, 400)
+    angles = np.linspace(0.0, math.pi, 20001)
     rates, slopes = np.array([law._plan(float(theta), axis) for theta in angles]).T
     assert rates[0] == 0.0
     assert np.all(np.diff(rates) > 0.0)
     assert np.all(rates * slopes <= a * config.eta * (1.0 + 1e-9))
-    assert slopes[1:-1] == pytest.approx(np.gradient(rates, angles)[1:-1], rel=0.03)
+    assert slopes[1:-1] == pytest.approx(np.gradient(rates, angles)[1:-1], rel=5e-3)
 
 
 def test_learnt_shares_are_the_true_ones() -> None:
