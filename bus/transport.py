@@ -7,6 +7,7 @@ An address is `<transport>:<where>`:
     socketcan:<interface>   a CAN interface of this kernel (can0, vcan0)
     <interface>:<channel>   anything python-can drives: pcan:PCAN_USBBUS1, kvaser:0, slcan:/dev/ttyACM0, virtual:x;
                             further settings as in a URL: gs_usb:0?index=1
+    python-can:<interface>:<channel>   the same, said outright: python-can:socketcan:can0 is python-can's driver, not ours
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ DEFAULT_QUEUE_FRAMES = 4096  # what a node of ours asks for: 3 s of its bus at 1
 DEFAULT_BITRATE_BPS = 500_000
 DEFAULT_PATIENCE_S = 5.0
 BUILT_IN = ("memory", "hub", "socketcan")
+EXPLICIT = "python-can"
 
 
 @dataclass(slots=True)
@@ -134,6 +136,10 @@ def open_transport(
         from bus.socketcan import SocketCanTransport
 
         return SocketCanTransport(where, node, filters, receive_own, queue_frames, bitrate_bps)
+    if scheme == EXPLICIT:
+        from bus.pycan import PyCanTransport
+
+        return PyCanTransport(where, node, filters, receive_own, bitrate_bps)
     if scheme not in python_can_interfaces():
         raise BusAddressError(describe_unknown(address, scheme, python_can_interfaces()))
     from bus.pycan import PyCanTransport
@@ -152,7 +158,7 @@ def python_can_interfaces() -> frozenset[str]:
 
 def describe_unknown(address: str, scheme: str, interfaces: frozenset[str]) -> str:
     """Return the message for an address that names no transport: what there is, and what was perhaps meant."""
-    known = [*BUILT_IN, *sorted(interfaces)]
+    known = [*BUILT_IN, EXPLICIT, *sorted(interfaces)]
     if ":" not in address:
         meant = f"socketcan:{address}" if "can" in address else f"hub:{address}" if "/" in address else ""
     else:

@@ -79,8 +79,8 @@ class BrakingProfile:
 
     e and theta are eigenaxis and angle of the error, f is the profile:
 
-        f = k_theta theta                                       for theta <= theta_1 = a eta / k_theta^2
-        f^2 = 2 a (eta_far x + (eta - eta_far) far (1 - exp(-x/far))),  x = theta - theta_1/2,   beyond
+        f   = k_theta theta                                         for theta <= theta_1 = a eta / k_theta^2
+        f^2 = 2 a (eta theta_1 / 2 + eta_far x + (eta - eta_far) far (1 - exp(-x/far))),  x = theta - theta_1,  beyond
 
     so that the deceleration along it is a (eta_far + (eta - eta_far) exp(-x/far)): gentle far out, where a wheel that
     fails while the body is fast costs a long overshoot, firm close to the target.
@@ -206,9 +206,9 @@ class BrakingProfile:
         if theta <= linear_to:
             self._profile = rate = k * theta
             return rate, k
-        x = theta - 0.5 * linear_to
+        x = theta - linear_to
         near = (eta - eta_far) * math.exp(-x / config.far_rad)
-        energy = eta_far * x + (eta - eta_far - near) * config.far_rad
+        energy = 0.5 * eta * linear_to + eta_far * x + (eta - eta_far - near) * config.far_rad
         self._profile = rate = math.sqrt(2.0 * a * energy)
         return rate, a * (eta_far + near) / rate
 

@@ -109,9 +109,7 @@ class Mekf:
 
     def read_internals(self) -> MekfInternals:
         """Return covariance and counters as they stand after the last star-tracker frame."""
-        return MekfInternals(
-            self._ptt, self._ptb, self._pbb, self._nis, self._accepted, self._rejected, self._restarts
-        )
+        return MekfInternals(self._ptt, self._ptb, self._pbb, self._nis, self._accepted, self._rejected, self._restarts)
 
     # -- state --------------------------------------------------------------------------------------------------
 

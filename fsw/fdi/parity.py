@@ -78,9 +78,12 @@ class Parity:
         self._windows: tuple[int, ...] = ()
         self.flush()
 
-    def flush(self) -> None:
-        """Forget all frames: after an alarm, windows that reach back before it would accuse the wrong axis."""
-        self._frames: dict[int, Frame] = {}
+    def flush(self, keep: Frame | None = None) -> None:
+        """Forget all frames but one: after an alarm, windows that reach back before it would accuse the wrong axis.
+
+        keep : a frame taken at this very tick; one taken earlier has some of the faulty rate between it and now
+        """
+        self._frames: dict[int, Frame] = {keep.mark.tick: keep} if keep is not None else {}
         self._exceeded: dict[tuple[int, int], float] = {}
         self.worst = 0.0
 
@@ -133,9 +136,7 @@ class Parity:
                 break
         return hits
 
-    def _judge(
-        self, window: int, statistics: Vec3, suspect: Flags3, excluded: Flags3
-    ) -> list[ParityHit]:
+    def _judge(self, window: int, statistics: Vec3, suspect: Flags3, excluded: Flags3) -> list[ParityHit]:
         hits = []
         for axis in (0, 1, 2):
             z, key = statistics[axis], (window, axis)

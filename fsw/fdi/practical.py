@@ -17,6 +17,7 @@ from fsw.config import ModelConfig, PracticalDetectorConfig
 from fsw.estimation.rotation import turn
 from fsw.fdi.classification import Classifier, FaultKind, Verdict
 from fsw.fdi.cycle_inputs import CycleCollector, CycleInputs
+from fsw.fdi.fog import choose_fog
 from fsw.fdi.gyro_stellar import GyroStellarFilter
 from fsw.fdi.isolation import ModelErrorBound
 from fsw.fdi.momentum_filter import MomentumFilter
@@ -37,18 +38,6 @@ _SUSPECT_ALARM_AFTER_S = 1.0  # ... after this long
 _AGREED_BIAS_RAD_S, _AGREED_ATTITUDE_RAD = 3e-5, 1e-3  # estimator and the detector's own filter tell the same
 _AGREE_FOR_S = 10.0
 _BLIND_FACTOR = 10.0  # past this many times safe_after_s without gyro and stars not even damping is safe
-
-
-class Fog(NamedTuple):
-    """A class of gyros: angle random walk [rad/sqrt(s)], angle step [rad], drift [rad/s], scale factor error [1]."""
-
-    arw: float
-    lsb: float
-    bias_max: float
-    scale_max: float
-
-
-FOGS = {"tactical": Fog(2.91e-5, 1e-6, 1.5e-5, 1e-3), "space": Fog(5.82e-7, 1e-7, 5e-7, 3e-4)}
 
 
 class PracticalInternals(NamedTuple):
@@ -82,16 +71,10 @@ class PracticalDetector:
         self._recover = config.recovery == "on"
         self._wheel_momentum = model.wheel_momentum
         inertia, cycle_s = model.inertia_kgm2, self._cycle_s
-        preset = FOGS[config.fog]
-        arw = config.gyro_arw_rad_sqrt_s or preset.arw
-        fog = Fog(
-            arw,
-            preset.lsb if config.angle_lsb_rad is None else config.angle_lsb_rad,
-            preset.bias_max if config.bias_max_rad_s is None else config.bias_max_rad_s,
-            preset.scale_max if config.scale_max is None else config.scale_max,
-        )
+        fog = choose_fog(config)
+        arw = fog.arw_rad_sqrt_s
         a, b, c = config.star_noise_arcsec
-        healthy = Healthy(arw, fog.bias_max, fog.scale_max, (a * _ARCSEC, b * _ARCSEC, c * _ARCSEC))
+        healthy = Healthy(arw, fog.bias_max_rad_s, fog.scale_max, (a * _ARCSEC, b * _ARCSEC, c * _ARCSEC))
         acceleration = config.acceleration_max_rad_s2
         if acceleration is None:
             acceleration = _ACCELERATION_MARGIN * bound_acceleration(inertia, model.wheel_max_torque_nm)
@@ -99,11 +82,9 @@ class PracticalDetector:
         self._gyroless = MomentumFilter(inertia, config.filter_rate_rad_s, model.wheel_momentum)
         self._stellar = GyroStellarFilter()
         self._parity = Parity(healthy, config.parity_windows_s, tick_s, config.parity_sigma, config.suspect_sigma)
-        self._plausibility = Plausibility(cycle_s, acceleration, arw, fog.lsb, config.suspect_s)
+        self._plausibility = Plausibility(cycle_s, acceleration, arw, fog.lsb_rad, config.suspect_s)
         self._observer = GyroObserver(config.observer, inertia, cycle_s, config.static_gain_rad_s)
-        self._bound = ModelErrorBound(
-            inertia, cycle_s, config.static_gain_rad_s, config.observer_threshold_rad_s
-        )
+        self._bound = ModelErrorBound(inertia, cycle_s, config.static_gain_rad_s, config.observer_threshold_rad_s)
         self._wheels = WheelMonitor(cycle_s, config.wheel_threshold_nm, config.wheel_filter_s)
         self._axes = tuple(
             AxisRecovery(cycle_s, arw, config.clear_threshold_rad_s, config.clear_filter_s, config.clear_after_s)
@@ -136,6 +117,8 @@ class PracticalDetector:
         self._agreed_cycles = 0
         self._trusts_estimator = False
         self._estimate: Estimate | None = None
+        self._fresh_frame: Frame | None = None
+        self._coasting_s = 0.0
 
     @property
     def internals(self) -> PracticalInternals:
@@ -207,9 +190,11 @@ class PracticalDetector:
         k.observe(r2[2])
         bound = self._bound.bound(cycle.h_rw_nms, w)
         if gyroless.since_frame_s > self._config.star_lost_after_s:
+            self._coasting_s = self._coasting_s + dt_s if i.in_alarm or j.in_alarm or k.in_alarm else 0.0
             alarm = self._judge_without_star(bound, suspect)
             self._lean_on_gyro(r2, suspect, cycle.gyro_valid, dt_s)
         else:
+            self._coasting_s = 0.0
             r1 = self._r1
             self._bound.learn((r1[0] - r2[0], r1[1] - r2[1], r1[2] - r2[2]), bound)
         return self._decide(cycle, suspect, alarm, window_s, estimate)
@@ -231,10 +216,11 @@ class PracticalDetector:
             by_gyro = multiply(conjugate(mark.q_g), now.q_g) if mark is not now else (1.0, 0.0, 0.0, 0.0)
             self._stellar.correct(multiply(q_st, by_gyro), (tick - self._star_tick) * self._tick_s)
         self._star_tick = tick
-        hits = self._parity.test(Frame(q_st, mark), suspect, excluded)
+        frame = Frame(q_st, mark)
+        hits = self._parity.test(frame, suspect, excluded)
         if not hits:
             return (False, False, False), 0.0
-        self._parity.flush()
+        self._fresh_frame = frame if mark is now else None
         axes = {hit.axis for hit in hits}
         return (0 in axes, 1 in axes, 2 in axes), hits[0].window_s
 
@@ -322,7 +308,8 @@ class PracticalDetector:
         i, j, k = self._axes
         self._replaced = now3 = (i.state > 0, j.state > 0, k.state > 0)
         if raised:
-            self._parity.flush()
+            self._parity.flush(self._fresh_frame)
+        self._fresh_frame = None
         if (was[0] or was[1] or was[2]) and not (now3[0] or now3[1] or now3[2]):
             self._stellar.q_ib = self._gyroless.q_ib
         self._judge_estimator(estimate)
@@ -367,7 +354,7 @@ class PracticalDetector:
         """The estimate to fly with: the gyro where it is good, the gyro-less rate where it is not."""
         replaced = self._replaced
         any_replaced = replaced[0] or replaced[1] or replaced[2]
-        if self._trusts_estimator and not any_replaced:
+        if self._trusts_estimator and not any_replaced and estimate.valid:
             self._estimate = estimate
             return self._report(estimate, step)
         b, y = self._stellar.bias_b_rad_s, self._y
@@ -385,10 +372,8 @@ class PracticalDetector:
         return self._report(self._estimate, step)
 
     def _is_blind(self) -> bool:
-        """Whether a replaced axis has gone without star-tracker frames for too long to point."""
-        i, j, k = self._axes
-        lost = i.in_alarm or j.in_alarm or k.in_alarm
-        return lost and self._gyroless.since_frame_s > self._config.safe_after_s
+        """Whether an axis has had neither a gyro nor star-tracker frames for too long to point."""
+        return self._coasting_s > self._config.safe_after_s
 
     def _report(self, estimate: Estimate, step: Vec3) -> Detection:
         i, j, k = self._axes
@@ -399,7 +384,7 @@ class PracticalDetector:
             r2[2] if k.state else 0.0,
         )
         blind = self._is_blind()
-        far_gone = blind and self._gyroless.since_frame_s > _BLIND_FACTOR * self._config.safe_after_s
+        far_gone = self._coasting_s > _BLIND_FACTOR * self._config.safe_after_s
         states = (int(i.state), int(j.state), int(k.state))
         return Detection(estimate, step, states, self._wheel_alarm, fault, blind, not far_gone)
 

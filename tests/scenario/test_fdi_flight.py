@@ -108,7 +108,7 @@ def test_star_tracker_and_gyro_both_lost_asks_for_safe_mode() -> None:
     blind = FaultConfig(unit="star_tracker", kind="dropout", at_s=70.0)
     moments, _ = record(vary(BASE, duration_s=115.0, faults=(drift("gyro.x", 0.01), blind), manoeuvre_every_s=0.0))
     asked = next(m.t_s for m in moments if m.detection.request_safe)
-    assert asked == pytest.approx(100.0, abs=0.5)
+    assert asked == pytest.approx(100.0, abs=1.0)
     before = [m for m in moments if 62.0 < m.t_s < 100.0]
     assert max(abs(m.detection.estimate.omega_bi_b_rad_s[0] - m.omega_true_b_rad_s[0]) for m in before) < 3e-3
     assert all(m.detection.rate_good for m in moments)
@@ -119,7 +119,9 @@ def test_without_stars_the_observer_finds_the_drift() -> None:
     blind = FaultConfig(unit="star_tracker", kind="dropout", at_s=40.0)
     for axis, unit in enumerate(fdi_campaign.AXES):
         watch = Watch(ONSET_S, (axis,))
-        settings = vary(BASE, duration_s=70.0, faults=(blind, drift(unit, 0.01)), tilt_max_deg=3.0, manoeuvre_every_s=0.0)
+        settings = vary(
+            BASE, duration_s=70.0, faults=(blind, drift(unit, 0.01)), tilt_max_deg=3.0, manoeuvre_every_s=0.0
+        )
         fly(settings, watch)
         assert 0.0 <= watch.delays_s[0] <= 2.0
         assert watch.wrong_axes == 0

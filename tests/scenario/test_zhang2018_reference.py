@@ -285,10 +285,10 @@ def test_braking_profile_settles_the_published_scenario() -> None:
 
 @pytest.mark.slow
 def test_fixed_braking_profile_repeats_the_prototype() -> None:
-    """With the margin fixed (0.04 N m, eta 0.8): the prototype's settling times, 36.9 / 54.3 / 61.0 s, to 15 %."""
+    """With the margin fixed (0.04 N m, eta 0.8): the prototype's settling times, 36.9 / 54.3 / 61.0 s, to 1 s."""
     config = replace(BrakingProfileConfig(kind="braking_profile"), adapt=False, eta=0.8, k_theta=0.35, k_s=1.2)
     run = fly(make_ilo(), BrakingProfile(config, MODEL), 90.0)
-    assert [run.settle_s(b) for b in (5.0, 1.0, 0.1)] == pytest.approx([36.9, 54.3, 61.0], rel=0.15)
+    assert [run.settle_s(b) for b in (5.0, 1.0, 0.1)] == pytest.approx([36.9, 54.3, 61.0], abs=1.0)
 
 
 @pytest.mark.slow

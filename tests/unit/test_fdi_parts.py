@@ -95,7 +95,9 @@ def test_one_wild_frame_is_refused_and_four_are_believed() -> None:
     assert momentum.glitches == 3
 
 
-def run_parity(error: tuple[float, float, float], seconds: float, noise_seed: int | None = 1) -> list[tuple[float, int]]:
+def run_parity(
+    error: tuple[float, float, float], seconds: float, noise_seed: int | None = 1
+) -> list[tuple[float, int]]:
     """(time, axis) of every hit of a gyro with a constant error on a body turning at 0.02 rad/s."""
     rng = np.random.default_rng(noise_seed)
     rate = np.array([0.01, -0.015, 0.008])

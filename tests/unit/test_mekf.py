@@ -138,6 +138,7 @@ def test_a_lost_axis_makes_the_estimate_not_valid_and_leaves_the_bias_alone() ->
 
 def test_reset_repeats_bit_for_bit() -> None:
     """The filter holds nothing across a reset, and the registry makes the same filter."""
+
     def fly(mekf: Mekf) -> list[Estimate]:
         return [mekf.step(make_sensors(k, (1e-3, 0.0, 2e-3), START if k % 5 == 0 else None)) for k in range(200)]
 
