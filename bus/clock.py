@@ -7,6 +7,7 @@ import os
 import time
 from typing import Protocol
 
+QUIET_S = 0.5  # a peer that has been silent for so long may be gone: nothing is held back while waiting on
 PEER_TIMEOUT_S = 4.0  # wall time without a sign of life after which a peer is declared dead
 FIFO_PRIORITY = 50
 ARENA_BYTES = 1 << 20  # of CPython's allocator

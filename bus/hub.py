@@ -32,7 +32,7 @@ from bus.hub_wire import (
     unpack_control,
 )
 
-FINE_WAIT_S = 1.0  # epoll counts in ms: shorter waits go through select, which counts in us
+FINE_WAIT_S = 0.5  # epoll counts in ms: shorter waits go through select, which counts in us
 DATAGRAMS_PER_TURN = 64  # from one client before the others have theirs
 MAX_CLIENTS = 128
 MAX_STRANGERS = 16  # connections that have not said hello

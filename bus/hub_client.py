@@ -19,7 +19,7 @@ from bus.hub_wire import MAX_DATAGRAM, VCAN_QUEUE_FRAMES, VERSION, pack_control,
 from bus.transport import DEFAULT_PATIENCE_S, TransportCounters
 
 SEND_PATIENCE_S = 1.0  # a hub that has not taken a frame for so long is not taking this one either
-COARSE_WAIT_S = 1.0  # from here on the kernel's own receive timeout is exact enough, and saves a system call
+COARSE_WAIT_S = 0.5  # from here on the kernel's own receive timeout is exact enough, and saves a system call
 RETRY_S = 0.01
 _SEND_FLAGS = socket.MSG_NOSIGNAL
 

@@ -18,6 +18,7 @@ import json
 import os
 import select
 import struct
+import time
 from collections.abc import Callable, Sequence
 from typing import Any, Final, Protocol
 
@@ -43,6 +44,8 @@ FRAMES: Final = struct.Struct("<BQHIQQ4siII")
 
 PIPE_BYTES: Final = 1 << 20  # the largest that an unprivileged process may ask for; about 8 s of a 100 Hz run
 STALL_S: Final = 5.0  # how long a blocking writer waits for the recorder
+GATHER_BYTES: Final = 32 * 1024  # what a blocking writer keeps at most before it writes,
+GATHER_S: Final = 0.05  # and for how long
 
 
 class TickPacker:
@@ -148,6 +151,9 @@ class Link:
         """Hand over one JSON object for a topic of bus.events; it is filed behind the tick written next."""
         raise NotImplementedError
 
+    def flush(self) -> None:
+        """Let go of what is held back, before a wait that may be long."""
+
     def close(self, reason: str = "") -> None:
         """End the stream and say why. Harmless when repeated."""
         raise NotImplementedError
@@ -173,6 +179,9 @@ class TelemetryLink(Link):
     blocking : lock-step and in-process runs wait for room (5 s at most); a real-time process drops the tick instead
     fd None  : nothing is recorded and every call does nothing
     Raises RecordError once the recorder is gone, or takes nothing for 5 s.
+
+    A real-time process writes every tick at once: one system call, no later stall. A blocking one runs as fast as it can,
+    and the recorder's wake-up costs more than the writing: it gathers ticks for GATHER_S or GATHER_BYTES.
     """
 
     def __init__(self, fd: int | None, source: int, blocking: bool) -> None:
@@ -180,6 +189,9 @@ class TelemetryLink(Link):
         self._source = source
         self._blocking = blocking
         self._tail = b""  # the rest of a piece that the pipe took only in part
+        self._gathered: list[bytes] = []
+        self._room = GATHER_BYTES
+        self._due_s = 0.0  # when to write, of the monotonic clock
         self._last_tick = 0
         self.dropped = 0
         if fd is not None:
@@ -192,10 +204,28 @@ class TelemetryLink(Link):
 
     def write_tick(self, tick: int, t_ns: int, records: bytes) -> None:
         self._last_tick = tick
-        self._send(HEADER.pack(MAGIC, TICK, self._source, len(records), tick, t_ns) + records, self._blocking)
+        head = HEADER.pack(MAGIC, TICK, self._source, len(records), tick, t_ns)
+        if not self._blocking:
+            self._send(head + records, wait=False)
+            return
+        now_s = time.monotonic()
+        if not self._gathered:
+            self._due_s = now_s + GATHER_S
+        self._gathered += head, records
+        self._room -= len(records)
+        if self._room < 0 or now_s >= self._due_s:
+            self.flush()
+
+    def flush(self) -> None:
+        if self._gathered:
+            piece = b"".join(self._gathered)
+            self._gathered.clear()
+            self._room = GATHER_BYTES
+            self._send(piece, wait=True)
 
     def write_json(self, topic: str, t_ns: int, payload: bytes) -> None:
         text = topic.encode() + b"\0" + payload
+        self.flush()
         self._send(HEADER.pack(MAGIC, JSON, self._source, len(text), self._last_tick, t_ns) + text, self._blocking)
 
     def close(self, reason: str = "") -> None:
@@ -204,6 +234,7 @@ class TelemetryLink(Link):
         text = json.dumps({"reason": reason, "dropped": self.dropped}).encode()
         # A recorder that is gone has been reported by the tick that met it, and is by whoever started it.
         with contextlib.suppress(RecordError):
+            self.flush()
             self._send(HEADER.pack(MAGIC, CLOSE, self._source, len(text), self._last_tick, 0) + text, wait=True)
         os.close(self._fd)
         self._fd = None

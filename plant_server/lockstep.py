@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from bus.clock import PEER_TIMEOUT_S
+from bus.clock import PEER_TIMEOUT_S, QUIET_S
 from bus.errors import PeerLostError
 from bus.transport import Transport
 from plant_server.server import PlantServer
@@ -39,10 +39,11 @@ class LockStep:
 
     def _wait_for_answer(self, tick: int) -> bytes:
         server, transport = self._server, self._transport
-        received = transport.recv(PEER_TIMEOUT_S)
+        received = transport.recv(QUIET_S)
         self._log.note_arrival(received, transport)
         if received and server.accept(received):
             return received
+        self._log.link.flush()
         until = time.monotonic() + PEER_TIMEOUT_S
         while True:
             if "fsw" in transport.departed:

@@ -19,14 +19,14 @@ from typing import Any
 SECONDS = 300.0
 
 
-def compare(measure_ours: Callable[[float], dict[str, Any]]) -> dict[str, Any]:
+def compare(measure_ours: Callable[[], dict[str, Any]]) -> dict[str, Any]:
     """Our speed in process, Basilisk's, and the ratio."""
     python = os.environ.get("HILSAT_BSK_PYTHON", sys.executable)
     done = subprocess.run([python, "-P", __file__], capture_output=True, text=True, timeout=300, check=False)
     if done.returncode:
         return {"not measured": f"{python} has no Basilisk (pip install bsk, or set HILSAT_BSK_PYTHON)"}
     theirs = json.loads(done.stdout.splitlines()[-1])
-    ours = measure_ours(100.0)["sim-s per cpu-s, median"]
+    ours = measure_ours()["sim-s per cpu-s, median"]
     return {
         "Basilisk version": theirs["version"],
         "Basilisk, sim-s per cpu-s": theirs["speed"],

@@ -98,6 +98,7 @@ class _Supervisor:
             self._report.problems.append(f"interrupted by {signal.Signals(number).name}; the log is closed properly")
         finally:
             self._end(processes)
+            self._read_progress(progress_in, processes)  # the last words of the two sides
             os.close(progress_in)
         self._report.wall_s = time.monotonic() - self._started_s
         return self._report
@@ -152,7 +153,6 @@ class _Supervisor:
             elif now_s - self._last_progress_s > STILL_S:
                 self._report.problems.append(f"nothing moved for {STILL_S:g} s at tick {self._report.ticks}")
                 break
-        self._read_progress(progress_in, processes)
         self._judge(processes)
 
     def _read_progress(self, fd: int, processes: list[Process]) -> None:

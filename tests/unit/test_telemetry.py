@@ -208,8 +208,10 @@ def test_a_stuck_recorder_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     link = TelemetryLink(into, 1, blocking=True)
     fcntl.fcntl(into, fcntl.F_SETPIPE_SZ, 4096)
     link.write_tick(0, 0, bytes(4096 - HEADER.size))
+    link.flush()
+    link.write_tick(1, 0, bytes(4096 - HEADER.size))
     with pytest.raises(RecordError, match=r"tick 1: the recorder took nothing for 0\.2 s"):
-        link.write_tick(1, 0, bytes(4096 - HEADER.size))
+        link.flush()
     assert not select.select([], [into], [], 0)[1]
     os.close(out)
     link.close()  # must not raise: the stall has been reported
@@ -217,14 +219,54 @@ def test_a_stuck_recorder_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("blocking", [True, False])
 def test_a_dead_recorder_is_named(blocking: bool) -> None:
-    """In both modes the first tick after its death says so; the goodbye does not hide an error under way."""
+    """In both modes the first write after its death says so; the goodbye does not hide an error under way."""
     out, into = os.pipe()
     link = TelemetryLink(into, 1, blocking)
     link.write_tick(0, 0, b"x")
+    link.flush()
     os.close(out)
-    with pytest.raises(RecordError, match="tick 1: the recorder died"):
+
+    def write() -> None:
         link.write_tick(1, 0, b"x")
+        link.flush()
+
+    with pytest.raises(RecordError, match="tick 1: the recorder died"):
+        write()
     link.close()
+
+
+def test_a_lock_step_process_holds_back_little_and_briefly(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ticks are written together once they fill the room or the first of them is old enough, or at `flush`."""
+    now_s = [0.0]
+    monkeypatch.setattr(telemetry.time, "monotonic", lambda: now_s[0])
+    out, into = os.pipe()
+    os.set_blocking(out, False)
+    link = TelemetryLink(into, 1, blocking=True)
+    size = HEADER.size + 1000
+
+    def written() -> int:
+        try:
+            return len(os.read(out, 1 << 20)) // size
+        except BlockingIOError:
+            return 0
+
+    counts = []
+    for tick in range(40):
+        link.write_tick(tick, tick, bytes(1000))
+        counts.append(written())
+    assert max(counts) == 33  # 32 KiB are full with the 33rd
+    assert sum(counts) == 33
+    now_s[0] = 0.049
+    link.write_tick(40, 40, bytes(1000))
+    assert written() == 0
+    now_s[0] = 0.051
+    link.write_tick(41, 41, bytes(1000))
+    assert written() == 9
+    link.write_tick(42, 42, bytes(1000))
+    link.flush()
+    assert written() == 1
+    link.close()
+    os.close(out)
 
 
 def test_without_a_pipe_nothing_happens() -> None:

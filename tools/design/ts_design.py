@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -50,7 +51,7 @@ class Weighting:
     @property
     def t_mid(self) -> float:
         """|T_ef| between its slow pole and its roll-off, closed form for the operating point at rest."""
-        return 1.0 / (1.0 + self.eps * self.b * np.sqrt(1.0 - 1.0 / self.gamma_ratio**2))
+        return 1.0 / (1.0 + self.eps * self.b * math.sqrt(1.0 - 1.0 / self.gamma_ratio**2))
 
 
 BANKS = {"a": Weighting(eps=100.0), "b": Weighting(eps=5.0)}
