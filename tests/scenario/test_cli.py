@@ -77,7 +77,9 @@ def test_the_two_sides_meet_in_two_terminals(tmp_path: Path) -> None:
     side = [sys.executable, "-P", "-m", "tools.cli"]
     fsw = subprocess.Popen([*side, "fsw", "zhang2018", "--bus", bus], stderr=subprocess.PIPE, text=True)
     log = tmp_path / "plant.mcap"
-    plant = subprocess.Popen([*side, "plant", "zhang2018", "--bus", bus, "--log", str(log)], stderr=subprocess.PIPE, text=True)
+    plant = subprocess.Popen(
+        [*side, "plant", "zhang2018", "--bus", bus, "--log", str(log)], stderr=subprocess.PIPE, text=True
+    )
     try:
         assert plant.wait(60) == 0, plant.communicate()
         assert fsw.wait(10) == 0, fsw.communicate()

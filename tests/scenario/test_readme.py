@@ -46,7 +46,9 @@ def test_the_readme_runs_as_written(tmp_path: Path) -> None:
         for command in here:
             logs = sorted(tmp_path.glob("runs/*/run.mcap"), key=lambda path: path.stat().st_mtime)
             text = command.replace("runs/.../run.mcap", str(logs[-1]) if logs else "")
-            done = subprocess.run(shlex.split(text), cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+            done = subprocess.run(
+                shlex.split(text), cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+            )
             assert done.returncode == 0, f"{command}\n{done.stdout}\n{done.stderr}"
     finally:
         own.unlink(missing_ok=True)

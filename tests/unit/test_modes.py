@@ -66,7 +66,9 @@ def test_safe_is_left_only_after_the_sensors_were_good_for_a_while() -> None:
     assert modes.step(True, True, STILL, False) is Mode.POINT
 
 
-@pytest.mark.parametrize(("initial", "mode"), [("standby", Mode.STANDBY), ("detumble", Mode.DETUMBLE), ("safe", Mode.SAFE)])
+@pytest.mark.parametrize(
+    ("initial", "mode"), [("standby", Mode.STANDBY), ("detumble", Mode.DETUMBLE), ("safe", Mode.SAFE)]
+)
 def test_the_initial_mode_is_kept(initial: str, mode: Mode) -> None:
     """A run that is to stay in one mode stays there while the sensors are good and the rate is low."""
     modes = ModeManager(ModesConfig(initial=initial, recover_after_ticks=1))  # type: ignore[arg-type]

@@ -2,7 +2,7 @@
 
 A case is a start, four misaligned wheels and a fault schedule for the satellite of Zhang, Ye & Sun 2018; `optimum_s`
 is the shortest time to rest at the target when every fault is known in advance (see braking_optimum.py). The file holds
-the paper's scenario, four cases of another origin, and 88 drawn by `draw_case`, numbers 0 to 87.
+the paper's scenario, four cases of another origin, and 128 drawn by `draw_case`, numbers 0 to 127.
 """
 
 from __future__ import annotations
