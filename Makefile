@@ -34,6 +34,7 @@ test-all: test test-slow test-vcan
 
 # Real AF_CAN: natively where the kernel has CAN, else in a user-mode Linux guest; fails where neither works.
 test-vcan: $(STAMP)
+	@command -v candump >/dev/null || $(BIN)/python -P -c 'from tools.vcan.packages import unpack; unpack("can-utils")'
 	$(BIN)/hilsat vcan exec --can vcan0,vcan1 --rw . -- $(BIN)/python -m pytest -p no:cacheprovider -m vcan
 	$(BIN)/python -m pytest -m vcan_host
 

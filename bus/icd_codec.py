@@ -9,7 +9,7 @@ decode_<NAME>(data) returns (counter, nibble, *signals) of the 8 data bytes, or 
 data and id, or where the length is not 8. It raises on no bytes whatever.
 
 decode_<batch>(batch, counter) takes all frames of one tick at once where they are what they nearly always are, and
-returns None everywhere else: then the frames must be looked at one by one.
+returns None everywhere else: then the frames must be looked at one by one. encode_<batch> makes such a batch.
 """
 
 from __future__ import annotations
@@ -591,6 +591,49 @@ def decode_sensors(batch: bytes, counter: int) -> tuple[float, float, float, flo
     )
 
 
+_pack_sensors = Struct("<ihBihBihBihBBiBxBiBxBiBxBIxx").pack
+_cut_sensors = Struct("7s7s7s7s7s7s7s7s").unpack
+
+
+def encode_sensors(
+    counter: int, speed_rad_s: Floats4, current_ma: Floats4, sync_cnt: int, rate_rad_s: Floats3, tick: int,
+) -> bytes:
+    """The frames that `decode_sensors` takes, as 128 bytes."""
+    speed_rad_s_0, speed_rad_s_1, speed_rad_s_2, speed_rad_s_3 = speed_rad_s
+    current_ma_0, current_ma_1, current_ma_2, current_ma_3 = current_ma
+    rate_rad_s_0, rate_rad_s_1, rate_rad_s_2 = rate_rad_s
+    try:
+        data = _pack_sensors(
+            round(speed_rad_s_0 / 0.001) * 256 + counter, round(current_ma_0), sync_cnt,
+            round(speed_rad_s_1 / 0.001) * 256 + counter, round(current_ma_1), sync_cnt,
+            round(speed_rad_s_2 / 0.001) * 256 + counter, round(current_ma_2), sync_cnt,
+            round(speed_rad_s_3 / 0.001) * 256 + counter, round(current_ma_3), sync_cnt, counter,
+            round(rate_rad_s_0 / 1e-09), sync_cnt, counter, round(rate_rad_s_1 / 1e-09), sync_cnt, counter,
+            round(rate_rad_s_2 / 1e-09), sync_cnt, counter, tick,
+        )
+    except _OUT_OF_RANGE:
+        return _join((
+            encode_RW1_TLM(counter, 0, speed_rad_s_0, current_ma_0, sync_cnt),
+            encode_RW2_TLM(counter, 0, speed_rad_s_1, current_ma_1, sync_cnt),
+            encode_RW3_TLM(counter, 0, speed_rad_s_2, current_ma_2, sync_cnt),
+            encode_RW4_TLM(counter, 0, speed_rad_s_3, current_ma_3, sync_cnt),
+            encode_FOGX_RATE(counter, 0, rate_rad_s_0, sync_cnt),
+            encode_FOGY_RATE(counter, 0, rate_rad_s_1, sync_cnt),
+            encode_FOGZ_RATE(counter, 0, rate_rad_s_2, sync_cnt), encode_SYNC(counter, 0, tick),
+        ))
+    (data_0, data_1, data_2, data_3, data_4, data_5, data_6, data_7) = _cut_sensors(data)
+    return _join((
+        _HEAD_RW1_TLM[_crc(data_0, 0xDE)], data_0,
+        _HEAD_RW2_TLM[_crc(data_1, 0x92)], data_1,
+        _HEAD_RW3_TLM[_crc(data_2, 0x46)], data_2,
+        _HEAD_RW4_TLM[_crc(data_3, 0x0A)], data_3,
+        _HEAD_FOGX_RATE[_crc(data_4, 0x1F)], data_4,
+        _HEAD_FOGY_RATE[_crc(data_5, 0x53)], data_5,
+        _HEAD_FOGZ_RATE[_crc(data_6, 0x87)], data_6,
+        _HEAD_SYNC[_crc(data_7, 0x77)], data_7,
+    ))  # fmt: skip
+
+
 COMMANDS_SIZE = 80
 _BITS_COMMANDS, _KNOWN_COMMANDS = _know((
     (_HEAD_RW1_CMD, 1), (_HEAD_RW2_CMD, 1), (_HEAD_RW3_CMD, 1), (_HEAD_RW4_CMD, 1), (_HEAD_CYCLE_DONE, None),
@@ -626,6 +669,39 @@ def decode_commands(batch: bytes, counter: int) -> tuple[float, float, float, fl
         (torque_nm_0 >> 8) * 1e-07, (torque_nm_1 >> 8) * 1e-07, (torque_nm_2 >> 8) * 1e-07,
         (torque_nm_3 >> 8) * 1e-07, sync_cnt_0, sync_cnt_1, sync_cnt_2, sync_cnt_3, tick_4,
     )
+
+
+_pack_commands = Struct("<iBxxiBxxiBxxiBxxBIH").pack
+_cut_commands = Struct("7s7s7s7s7s").unpack
+
+
+def encode_commands(
+    counter: int, torque_nm: Floats4, sync_cnt: int, mode: int, tick: int, slips: int,
+) -> bytes:
+    """The frames that `decode_commands` takes, as 80 bytes."""
+    torque_nm_0, torque_nm_1, torque_nm_2, torque_nm_3 = torque_nm
+    try:
+        data = _pack_commands(
+            round(torque_nm_0 / 1e-07) * 256 + 16 + counter, sync_cnt,
+            round(torque_nm_1 / 1e-07) * 256 + 16 + counter, sync_cnt,
+            round(torque_nm_2 / 1e-07) * 256 + 16 + counter, sync_cnt,
+            round(torque_nm_3 / 1e-07) * 256 + 16 + counter, sync_cnt, _NIBBLES[mode][counter], tick, slips,
+        )
+    except _OUT_OF_RANGE:
+        return _join((
+            encode_RW1_CMD(counter, 1, torque_nm_0, sync_cnt),
+            encode_RW2_CMD(counter, 1, torque_nm_1, sync_cnt),
+            encode_RW3_CMD(counter, 1, torque_nm_2, sync_cnt),
+            encode_RW4_CMD(counter, 1, torque_nm_3, sync_cnt), encode_CYCLE_DONE(counter, mode, tick, slips),
+        ))
+    (data_0, data_1, data_2, data_3, data_4) = _cut_commands(data)
+    return _join((
+        _HEAD_RW1_CMD[_crc(data_0, 0x17)], data_0,
+        _HEAD_RW2_CMD[_crc(data_1, 0x5B)], data_1,
+        _HEAD_RW3_CMD[_crc(data_2, 0x8F)], data_2,
+        _HEAD_RW4_CMD[_crc(data_3, 0xC3)], data_3,
+        _HEAD_CYCLE_DONE[_crc(data_4, 0x3B)], data_4,
+    ))  # fmt: skip
 
 
 _LIMITS: dict[int, tuple[tuple[str, float, float, bool], ...]] = {

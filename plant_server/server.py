@@ -22,6 +22,7 @@ from bus.icd_codec import (
     encode_fogs,
     encode_HEARTBEAT_PLANT,
     encode_rw_tlms,
+    encode_sensors,
     encode_STR_QA,
     encode_STR_QB,
     encode_SYNC,
@@ -42,6 +43,7 @@ STAR_NOT_VALID = 15
 HEARTBEAT_S = 1.0
 Torques = tuple[float | None, float | None, float | None, float | None]  # None: no command
 NO_TORQUE: Torques = (0.0, 0.0, 0.0, 0.0)
+WHEELS_OK, GYRO_OK = (0, 0, 0, 0), (0, 0, 0)  # STATUS of every unit
 NEVER = -(10**9)  # tick of a command that has not come yet
 
 
@@ -101,17 +103,19 @@ class PlantServer:
         self.truth = self.plant.truth()
         _, rate, gyro_status, gyro_silent, star, speed, current, wheel_status, wheel_silent, any_silent, _ = samples
         a, b, c, d = current
-        wheels = encode_rw_tlms(counter, wheel_status, speed, (a * 1e3, b * 1e3, c * 1e3, d * 1e3), sync_cnt)
+        current_ma = (a * 1e3, b * 1e3, c * 1e3, d * 1e3)
+        extra = b"" if star is None else self._star_frames(star)
+        if tick % self._heartbeat_ticks == 0:
+            extra += self._slow_frames(tick)
+        if wheel_status == WHEELS_OK and gyro_status == GYRO_OK and not any_silent:
+            batch = encode_sensors(counter, speed, current_ma, sync_cnt, rate, tick)
+            return batch[:-FRAME_SIZE] + extra + batch[-FRAME_SIZE:] if extra else batch
+        wheels = encode_rw_tlms(counter, wheel_status, speed, current_ma, sync_cnt)
         fogs = encode_fogs(counter, gyro_status, rate, sync_cnt)
         if any_silent:
             wheels = _leave_out(wheels, wheel_silent)
             fogs = _leave_out(fogs, gyro_silent)
-        batch = wheels + fogs
-        if star is not None:
-            batch += self._star_frames(star)
-        if tick % self._heartbeat_ticks == 0:
-            batch += self._slow_frames(tick)
-        return batch + encode_SYNC(counter, 0, tick)
+        return wheels + fogs + extra + encode_SYNC(counter, 0, tick)
 
     def _star_frames(self, star: StarFrame) -> bytes:
         counter = self._star_counter

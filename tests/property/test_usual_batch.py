@@ -14,12 +14,14 @@ from bus.icd_codec import (
     DECODERS,
     decode_commands,
     decode_sensors,
+    encode_commands,
     encode_CYCLE_DONE,
     encode_fogs,
     encode_HEARTBEAT_FSW,
     encode_HEARTBEAT_PLANT,
     encode_rw_cmds,
     encode_rw_tlms,
+    encode_sensors,
     encode_STR_QA,
     encode_STR_QB,
     encode_SYNC,
@@ -187,3 +189,36 @@ def test_one_turned_bit_is_always_seen() -> None:
     batch = encode_rw_cmds(4, 1, (0.01, -0.02, 0.03, 0.1), 9) + encode_CYCLE_DONE(4, 2, 9, 0)
     bits = int.from_bytes(batch, "little")
     assert all(decode_commands((bits ^ 1 << bit).to_bytes(80, "little"), 4) is None for bit in range(640))
+
+
+finite = st.floats(allow_nan=False)
+fours = st.tuples(finite, finite, finite, finite)
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.integers(0, 14), fours, fours, st.tuples(finite, finite, finite), st.integers(-1, 256), st.integers(0, 1 << 33))
+def test_sensors_are_encoded_as_one_by_one(
+    counter: int,
+    speed: tuple[float, float, float, float],
+    current: tuple[float, float, float, float],
+    rate: tuple[float, float, float],
+    sync_cnt: int,
+    tick: int,
+) -> None:
+    """All frames at once are the frames one by one, in range and saturated, infinities included."""
+    expected = (
+        encode_rw_tlms(counter, (0, 0, 0, 0), speed, current, sync_cnt)
+        + encode_fogs(counter, (0, 0, 0), rate, sync_cnt)
+        + encode_SYNC(counter, 0, tick)
+    )
+    assert encode_sensors(counter, speed, current, sync_cnt, rate, tick) == expected
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.integers(0, 14), fours, st.integers(-1, 256), st.integers(0, 15), st.integers(0, 1 << 33), st.integers(0, 1 << 17))
+def test_commands_are_encoded_as_one_by_one(
+    counter: int, torque: tuple[float, float, float, float], sync_cnt: int, mode: int, tick: int, slips: int
+) -> None:
+    """The same for what the flight software sends."""
+    expected = encode_rw_cmds(counter, 1, torque, sync_cnt) + encode_CYCLE_DONE(counter, mode, tick, slips)
+    assert encode_commands(counter, torque, sync_cnt, mode, tick, slips) == expected

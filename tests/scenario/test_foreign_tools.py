@@ -18,7 +18,7 @@ import subprocess
 import sys
 import termios
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import can
@@ -117,16 +117,16 @@ def interrupt_tool(*command: str, after_s: float) -> str:
         return tool.communicate(timeout=PATIENCE_S)[0]
 
 
-def watch_screen(*command: str, wanted: re.Pattern[str]) -> str:
-    """What a full-screen program has drawn on an 120x60 terminal once `wanted` is on it; then it is told to quit."""
+def watch_screen(*command: str, wanted: Sequence[str]) -> str:
+    """What a full-screen program has drawn on an 120x120 terminal once all of `wanted` is on it; then it is told to quit."""
     pid, terminal = pty.fork()
     if pid == 0:
-        fcntl.ioctl(0, termios.TIOCSWINSZ, struct.pack("HHHH", 60, 120, 0, 0))
-        os.environ["TERM"] = "xterm"
+        fcntl.ioctl(0, termios.TIOCSWINSZ, struct.pack("HHHH", 120, 120, 0, 0))
+        os.environ |= {"TERM": "xterm", "LINES": "120", "COLUMNS": "120"}
         os.execv(command[0], command)
     screen, until = "", time.monotonic() + PATIENCE_S
     try:
-        while not wanted.search(screen) and time.monotonic() < until:
+        while not all(text in screen for text in wanted) and time.monotonic() < until:
             if select.select([terminal], [], [], 0.2)[0]:
                 screen += os.read(terminal, 65536).decode(errors="replace")
         os.write(terminal, b"q")
@@ -226,9 +226,10 @@ def play_with_can_player(path: Path, interface: str, channel: str, bus: str) -> 
 
 
 def monitor_with_cantools(interface: str, channel: str) -> None:
-    wanted = re.compile(r"RW1_TLM\(.*TICK: +\d+", re.DOTALL)
-    screen = watch_screen(str(BIN / "cantools"), "monitor", "-i", interface, "-c", channel, dbc_path(), wanted=wanted)
-    assert wanted.search(screen), screen[-2000:]
+    wanted = ("RW1_TLM(", "SPEED: ", " rad/s", "SYNC(", "TICK: ", "FOGZ_RATE(")
+    command = [str(BIN / "cantools"), "monitor", "-i", interface, "-c", channel, dbc_path()]
+    screen = watch_screen(*command, wanted=wanted)
+    assert [text for text in wanted if text not in screen] == [], screen[-2000:]
 
 
 @pytest.mark.vcan
@@ -258,3 +259,8 @@ class TestPythonToolsOnTheEmbeddedBus:
 
     def test_cantools_monitor(self, hub_bench: str) -> None:
         monitor_with_cantools("hilsat", hub_bench)
+
+    def test_can_viewer(self, hub_bench: str) -> None:
+        wanted = ("0x190", "0x080", "0x1A2")
+        screen = watch_screen(str(BIN / "can_viewer"), "-i", "hilsat", "-c", hub_bench, wanted=wanted)
+        assert [text for text in wanted if text not in screen] == [], screen[-2000:]

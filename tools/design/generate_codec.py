@@ -286,6 +286,49 @@ def wrap(items: list[str], indent: int, opening: str, closing: str) -> str:
     return f"{opening}\n{' ' * indent}" + f"\n{' ' * indent}".join(lines) + f"\n{' ' * (indent - 4)}{closing}"
 
 
+def write_batch_encoder(function: str, rows: Any, by_id: dict[int, Any], fields: dict[int, list[Field]]) -> str:
+    """Source of the encoder of one tick's batch: one struct call for all frames, cut into payloads afterwards."""
+    messages = [by_id[first + k] for first, count, *_ in rows for k in range(count)]
+    arguments, unpacking, packed, otherwise = ["counter: int"], [], [], []
+    codes = ""
+    for first, count, nibble, _ in rows:
+        layout, own = lay_out(fields[first]), fields[first]
+        free = by_id[first].signals[2].name.lower() if nibble is None else None
+        arguments += [f"{free}: int"] if free else []
+        many = [field for field in own if count > 1 and not field.is_count]
+        for field in own:
+            argument = f"{field.name}: " + (f"Floats{count}" if field in many else field.kind_in)
+            arguments += [] if argument in arguments else [argument]
+        unpacking += [f"    {', '.join(f'{f.name}_{k}' for k in range(count))} = {f.name}" for f in many]
+        codes += layout.codes * count
+        nibbles = f"_NIBBLES[{free}][counter]" if free else f"{nibble << 4} + counter" if nibble else "counter"
+        for k in range(count):
+            values = [f"{f.name}_{k}" if f in many else f.name for f in own]
+            otherwise.append(f"encode_{by_id[first + k].name}(counter, {', '.join([free or str(nibble), *values])})")
+            for expression in layout.packed:
+                for field in many:
+                    expression = expression.replace(field.name, f"{field.name}_{k}")
+                packed.append(expression.replace("nibbles", nibbles))
+    lines = [
+        f'_pack_{function} = Struct("<{codes}").pack',
+        f'_cut_{function} = Struct("{"7s" * len(messages)}").unpack',
+        "\n",
+        f"def encode_{function}({wrap(arguments, 4, '', '')}) -> bytes:",
+        f'    """The frames that `decode_{function}` takes, as {16 * len(messages)} bytes."""',
+        *unpacking,
+        "    try:",
+        f"        data = _pack_{function}({wrap(packed, 12, '', '')})",
+        "    except _OUT_OF_RANGE:",
+        f"        return {wrap(otherwise, 12, '_join((', '))')}",
+        f"    {wrap([f'data_{k}' for k in range(len(messages))], 8, '(', ')')} = _cut_{function}(data)",
+        "    return _join((",
+    ]
+    for k, message in enumerate(messages):
+        start = checksum_start(message.dbc.attributes["DataID"].value)
+        lines.append(f"        _HEAD_{message.name}[_crc(data_{k}, 0x{start:02X})], data_{k},")
+    return "\n".join([*lines, "    ))  # fmt: skip"])
+
+
 def read_signals(fields: list[Field]) -> tuple[list[str], str, list[str]]:
     """Names to unpack into, struct codes of all 8 data bytes, and values, where only these signals are wanted."""
     names, codes, values, at = [], "", [], 0
@@ -313,7 +356,7 @@ decode_<NAME>(data) returns (counter, nibble, *signals) of the 8 data bytes, or 
 data and id, or where the length is not 8. It raises on no bytes whatever.
 
 decode_<batch>(batch, counter) takes all frames of one tick at once where they are what they nearly always are, and
-returns None everywhere else: then the frames must be looked at one by one.
+returns None everywhere else: then the frames must be looked at one by one. encode_<batch> makes such a batch.
 """
 
 from __future__ import annotations
@@ -398,7 +441,9 @@ def generate_codec(database: Any) -> str:
         group = [by_id[first + k] for k in range(count)]
         parts.append("\n" + write_group(function, group, fields[first], layouts[first]) + "\n")
     parts.append(KNOW)
-    parts += ["\n" + write_batch(function, rows, by_id, fields) + "\n" for function, rows in BATCHES]
+    for function, rows in BATCHES:
+        parts.append("\n" + write_batch(function, rows, by_id, fields) + "\n\n")
+        parts.append(write_batch_encoder(function, rows, by_id, fields) + "\n")
     parts.append("\n_LIMITS: dict[int, tuple[tuple[str, float, float, bool], ...]] = {")
     parts += [write_limits(m, fields[m.frame_id]) for m in messages]
     parts.append("}\n\nENCODERS: dict[int, Encoder] = {")

@@ -1,0 +1,68 @@
+"""How each imperfection of a real loop moves the published settling times: `python -m tools.design.real_loop`.
+
+One at a time on the published scenario, then all together as `zhang2018-flight`. In process, through CAN frames, so that
+quantised torque commands (1e-7 N m) and attitudes (2^-23) are part of every line.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tools.config.loader import load_scenario
+from tools.inprocess import Bench
+from tools.scenario_files import find_scenario
+
+LIMITS_DEG = (5.0, 1.0, 0.1, 0.01)
+ERROR_DEG = 7  # place of error_deg in Plant.truth(), see TRUTH_FIELDS
+FAULT_TORQUE = slice(26, 29)  # place of tau_fault_b_nm
+LAGGING = "[" + ", ".join(
+    f"{{mount: {mount}, tilt_deg: {tilt}, clock_deg: {clock}, max_torque_nm: 0.1, torque_lag_s: 0.1}}"
+    for mount, tilt, clock in (("x", 10, 12), ("y", 8, 15), ("z", 5, 8), ("skew", 6, 10))
+) + "]"  # fmt: skip
+CASES: dict[str, tuple[str, list[str]]] = {
+    "as published, ideal sensors": ("zhang2018", []),
+    "one sample of command delay (0.1 s)": ("zhang2018", ["plant.command_latency_ticks=1"]),
+    "wheel torque lag, 0.1 s": ("zhang2018", [f"plant.wheels={LAGGING}"]),
+    "the wheels' momentum in plant and model": (
+        "zhang2018",
+        ["plant.body.wheel_gyroscopic=true", "fsw.model.wheel_momentum=true"],
+    ),
+    "gyro noise, space grade": ("zhang2018", ["plant.gyro.preset=space"]),
+    "gyro noise, tactical grade": ("zhang2018", ["plant.gyro.preset=tactical"]),
+    "star tracker noise 10, 10, 52 arcsec": ("zhang2018", ["plant.star_tracker.noise_arcsec=[10, 10, 52]"]),
+    "all of it, filtered, at 100 Hz (zhang2018-flight)": ("zhang2018-flight", []),
+}
+
+
+def measure(scenario: str, overrides: list[str]) -> tuple[list[float | None], float]:
+    """Settling time for each limit [s], None where it does not settle; rms fault-torque error after 50 s [N m]."""
+    resolved = load_scenario(find_scenario(scenario), [*overrides, "expect=[]"])
+    bench = Bench(resolved)
+    tick_s = 1.0 / resolved.scenario.clock.tick_hz
+    errors, torque_errors = [], []
+    for _ in range(resolved.ticks):
+        bench.run(1)
+        truth = bench.server.truth
+        errors.append(truth[ERROR_DEG])
+        torque_errors.append(np.subtract(bench.flight.tau_fault_hat_b_nm, truth[FAULT_TORQUE]))
+    error = np.array(errors)
+    settled: list[float | None] = []
+    for limit in LIMITS_DEG:
+        above = np.flatnonzero(error > limit)
+        settled.append(None if above[-1] == error.size - 1 else float(above[-1]) * tick_s)
+    late = np.array(torque_errors)[round(50 / tick_s) :]
+    return settled, float(np.sqrt(np.mean(np.sum(late * late, axis=1))))
+
+
+def main() -> None:
+    """Print the table."""
+    print("| loop | 5 deg | 1 deg | 0.1 deg | 0.01 deg | fault torque error, rms after 50 s |")
+    print("|---|---|---|---|---|---|")
+    for name, (scenario, overrides) in CASES.items():
+        settled, rms = measure(scenario, overrides)
+        cells = " | ".join("never" if time_s is None else f"{time_s:.1f}" for time_s in settled)
+        print(f"| {name} | {cells} | {rms:.2g} N m |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
