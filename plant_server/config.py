@@ -27,7 +27,7 @@ class BodyConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WheelConfig:
-    """One reaction wheel. Nominal axis `mount`, true axis tilted and clocked by the misalignment (Zhang, Ye & Sun 2018, eq (3), exact form)."""
+    """One reaction wheel. Nominal axis `mount`, true axis tilted and clocked (Zhang, Ye & Sun 2018, eq (3), exact form)."""
 
     __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
 

@@ -196,7 +196,9 @@ fours = st.tuples(finite, finite, finite, finite)
 
 
 @settings(max_examples=300, deadline=None)
-@given(st.integers(0, 14), fours, fours, st.tuples(finite, finite, finite), st.integers(-1, 256), st.integers(0, 1 << 33))
+@given(
+    st.integers(0, 14), fours, fours, st.tuples(finite, finite, finite), st.integers(-1, 256), st.integers(0, 1 << 33)
+)
 def test_sensors_are_encoded_as_one_by_one(
     counter: int,
     speed: tuple[float, float, float, float],
@@ -215,7 +217,14 @@ def test_sensors_are_encoded_as_one_by_one(
 
 
 @settings(max_examples=300, deadline=None)
-@given(st.integers(0, 14), fours, st.integers(-1, 256), st.integers(0, 15), st.integers(0, 1 << 33), st.integers(0, 1 << 17))
+@given(
+    st.integers(0, 14),
+    fours,
+    st.integers(-1, 256),
+    st.integers(0, 15),
+    st.integers(0, 1 << 33),
+    st.integers(0, 1 << 17),
+)
 def test_commands_are_encoded_as_one_by_one(
     counter: int, torque: tuple[float, float, float, float], sync_cnt: int, mode: int, tick: int, slips: int
 ) -> None:

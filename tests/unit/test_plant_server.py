@@ -55,7 +55,7 @@ def ids(batch: bytes) -> list[int]:
 
 
 def test_a_tick_is_announced_with_sync_last() -> None:
-    """Four wheels, three gyro axes, the star tracker, TIME and heartbeat on the first tick, and SYNC with the tick number."""
+    """Wheels, gyro axes, star tracker, TIME and heartbeat on the first tick, and SYNC with the tick number last."""
     server = make()
     assert ids(server.announce()) == [
         0x190, 0x191, 0x192, 0x193, 0x1A0, 0x1A1, 0x1A2, 0x1B0, 0x1B1, 0x100, 0x701, 0x080,

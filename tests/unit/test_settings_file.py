@@ -30,5 +30,5 @@ def test_an_unreadable_or_wrong_file_is_named(tmp_path: Path, text: str | None) 
     path = tmp_path / "a.json"
     if text is not None:
         path.write_text(text, encoding="latin-1")
-    with pytest.raises(ConfigError, match="a.json"):
+    with pytest.raises(ConfigError, match=r"a\.json"):
         build_file(Two, path)
