@@ -1,7 +1,7 @@
 """Merges the telemetry of several processes into one log whose content does not depend on how they were scheduled.
 
 Ticks are filed by (tick, source). One is written once every open source has spoken of that tick or a later one; in
-real time it waits 0.3 s at most. Chunks close at 256 kB or 0.5 s of wall time, so a killed run loses less than 1 s.
+real time it waits 0.3 s at most. Chunks close at 512 kB or 0.5 s of wall time, so a killed run loses less than 1 s.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from bus.events import EVENTS, FAULTS, JSON_TOPICS, format_event
 from bus.telemetry import MemoryLink
 from tools.mcap_writer import Compression, McapWriter
 
-CHUNK_BYTES: Final = 256 * 1024
+CHUNK_BYTES: Final = 512 * 1024
 FLUSH_S: Final = 0.5
 PATIENCE_S: Final = 0.3  # real time: how long a tick waits for the other process
 MESSAGE: Final = struct.Struct("<BQHIQQ")

@@ -72,6 +72,12 @@ class RecorderProcess:
         self.links[0].write_tick(tick, tick * TICK_NS, plant_tick(tick))
         self.links[1].write_tick(tick, tick * TICK_NS, fsw_tick(tick))
 
+    def write_out(self, tick: int) -> None:
+        """A tick, and everything that the links hold back."""
+        self.write(tick)
+        for link in self.links:
+            link.flush()
+
     def write_many(self, ticks: int) -> None:
         for tick in range(ticks):
             self.write(tick)
@@ -230,7 +236,7 @@ def test_a_killed_recorder_loses_less_than_a_second(start: Callable[..., Recorde
     killed = time.monotonic()
     process.popen.wait()
     with pytest.raises(RecordError, match="the recorder died"):
-        process.write(tick)
+        process.write_out(tick)
     found = recover(process.out, tmp_path / "whole.mcap")
     assert not found.complete
     assert found.messages > 1000
@@ -244,7 +250,7 @@ def test_a_killed_writer_is_named_in_the_log(start: Callable[..., RecorderProces
     """A pipe that closes without a goodbye ends the waiting for that source and leaves a line on /events."""
     process = start()
     for tick in range(20):
-        process.write(tick)
+        process.write_out(tick)
     os.close(process.links[1]._fd)  # type: ignore[arg-type]
     process.links[1]._fd = None
     for tick in range(20, 40):
