@@ -10,11 +10,12 @@ from pathlib import Path
 from bus.clock import claim_realtime
 from bus.process import MEETING_PATIENCE_S, Progress, last_word, run_process
 from bus.settings import RunConfig, build_file
-from bus.telemetry import TelemetryLink, announce_topics
+from bus.telemetry import TelemetryLink
 from bus.transport import Transport, open_transport
 from fsw.config import FswConfig
 from fsw.executive import Executive, Watchdog
 from fsw.flight import Flight
+from fsw.flight_log import FlightLog
 from fsw.handshake import meet_plant
 from fsw.lockstep import LockStep
 from fsw.outputs import STATE_FAILED, STATE_STOPPED
@@ -45,7 +46,7 @@ def _fly(config: FswFile, telemetry_fd: int | None, progress_fd: int | None) -> 
     flight = Flight(config.fsw, run.tick_ns * 1e-9, run.run_hash)
     realtime = run.clock.mode == "realtime"
     link = TelemetryLink(telemetry_fd, SOURCE, blocking=not realtime)
-    link.announce(announce_topics(flight.packers))
+    log = FlightLog(flight, link, run.tick_ns)
     transport = open_transport(run.bus.address, node="fsw", bitrate_bps=run.bus.bitrate_bps)
     with last_word(
         "fsw", transport, link, Progress(progress_fd),
@@ -53,18 +54,18 @@ def _fly(config: FswFile, telemetry_fd: int | None, progress_fd: int | None) -> 
         lambda: flight.executive.cycles * run.tick_ns,
     ):  # fmt: skip
         meet_plant(transport, flight.outputs, run.run_hash, MEETING_PATIENCE_S)
-        _loop(config, flight, transport, link, realtime)
+        _loop(config, flight, transport, log, realtime)
 
 
-def _loop(config: FswFile, flight: Flight, transport: Transport, link: TelemetryLink, realtime: bool) -> None:
+def _loop(config: FswFile, flight: Flight, transport: Transport, log: FlightLog, realtime: bool) -> None:
     tick_ns = config.run.tick_ns
     if not realtime:
-        LockStep(flight, transport, link, tick_ns).run()
+        LockStep(flight, transport, log).run()
         return
     settings = config.fsw.executive
     executive = Executive(tick_ns, settings.overrun, settings.max_consecutive_slips)
-    link.event(0, "info", "fsw", f"scheduling: {claim_realtime()}")
-    RealTime(flight, executive, Watchdog(int(settings.watchdog_s * 1e9)), transport, link).run()
+    log.link.event(0, "info", "fsw", f"scheduling: {claim_realtime()}")
+    RealTime(flight, executive, Watchdog(int(settings.watchdog_s * 1e9)), transport, log).run()
 
 
 if __name__ == "__main__":

@@ -13,8 +13,11 @@ Names follow nasa/fprime's ActiveRateGroup (max cycle time, cycle slips) and cFS
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+import signal
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from types import FrameType
 
 from bus.clock import MonotonicClock, SystemClock
 from bus.errors import DeadlineError
@@ -146,6 +149,29 @@ class Watchdog:
     def silent_ns(self) -> int:
         """How long the loop has not fed it."""
         return self._clock.now_ns() - self._fed_ns
+
+    @contextlib.contextmanager
+    def guard(self) -> Iterator[None]:
+        """Watch over the body from a timer signal: raises DeadlineError inside it once it has not fed for the limit.
+
+        Only in the main thread, and nested in nothing else that uses SIGALRM.
+        """
+        self.feed()
+        previous = signal.signal(signal.SIGALRM, self._look)
+        every_s = self.limit_ns * 0.5e-9
+        signal.setitimer(signal.ITIMER_REAL, every_s, every_s)
+        try:
+            yield
+        finally:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+            signal.signal(signal.SIGALRM, previous)
+
+    def _look(self, number: int, frame: FrameType | None) -> None:
+        if self.bitten:
+            raise DeadlineError(
+                f"the watchdog bit: the flight loop has not come round for {self.silent_ns() / 1e9:.1f} s (limit "
+                f"{self.limit_ns / 1e9:g} s, executive.watchdog_s): a cycle hangs"
+            )
 
     @property
     def bitten(self) -> bool:

@@ -8,9 +8,9 @@ from struct import Struct
 from bus.clock import PEER_TIMEOUT_S, QUIET_S
 from bus.errors import PeerLostError
 from bus.icd_codec import decode_SYNC
-from bus.telemetry import TelemetryLink
 from bus.transport import Transport
 from fsw.flight import Flight
+from fsw.flight_log import FlightLog
 from fsw.handshake import plant_stopped
 from fsw.inputs import SYNC_ID
 from fsw.outputs import STATE_STOPPED
@@ -23,11 +23,10 @@ SYNC_TAIL = ID.pack(SYNC_ID)
 class LockStep:
     """Runs the flight software as the plant's SYNC frames ask for it."""
 
-    def __init__(self, flight: Flight, transport: Transport, link: TelemetryLink, tick_ns: int) -> None:
+    def __init__(self, flight: Flight, transport: Transport, log: FlightLog) -> None:
         self._flight = flight
         self._transport = transport
-        self._link = link
-        self._tick_ns = tick_ns
+        self._log = log
         self._expected = 0
         self._pending = b""
 
@@ -52,13 +51,12 @@ class LockStep:
             if cycle_ns > counters.max_cycle_ns:
                 counters.max_cycle_ns = cycle_ns
             counters.cycles += 1
-            t_ns = tick * self._tick_ns
-            self._link.write_tick(tick, t_ns, flight.publish(tick, t_ns))
+            self._log.write(tick)
             self._expected = tick + 1
 
     def _wait_longer(self) -> bytes:
         """The next frames after an empty read."""
-        self._link.flush()
+        self._log.link.flush()
         until = time.monotonic() + PEER_TIMEOUT_S
         while (left_s := until - time.monotonic()) > 0:
             if batch := self._transport.recv(left_s):

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from bus.clock import PEER_TIMEOUT_S, SystemClock
 from bus.errors import PeerLostError
-from bus.telemetry import TelemetryLink
 from bus.transport import Transport
 from fsw.executive import Executive, Watchdog
 from fsw.flight import Flight
+from fsw.flight_log import FlightLog
 from fsw.handshake import plant_stopped
 from fsw.outputs import STATE_STOPPED
 
@@ -16,21 +16,26 @@ class RealTime:
     """Runs the flight software at its own fixed rate on whatever has arrived."""
 
     def __init__(
-        self, flight: Flight, executive: Executive, watchdog: Watchdog, transport: Transport, link: TelemetryLink
+        self, flight: Flight, executive: Executive, watchdog: Watchdog, transport: Transport, log: FlightLog
     ) -> None:
         self._flight = flight
         self._executive = executive
         self._watchdog = watchdog
         self._transport = transport
-        self._link = link
+        self._log = log
         flight.executive = executive.counters
 
     def run(self) -> None:
         """Cycle until the plant says that it has stopped.
 
         The first cycle comes half a period after the first frames of the plant, so that the two sides stay out of each
-        other's way. Raises PeerLostError after PEER_TIMEOUT_S of silence, DeadlineError when slips do not end.
+        other's way. Raises PeerLostError after PEER_TIMEOUT_S of silence, DeadlineError when slips do not end or one cycle
+        never does.
         """
+        with self._watchdog.guard():
+            self._cycle()
+
+    def _cycle(self) -> None:
         flight, executive, transport = self._flight, self._executive, self._transport
         clock = SystemClock()
         batch = transport.recv(PEER_TIMEOUT_S)
@@ -54,9 +59,7 @@ class RealTime:
             transport.send(flight.cycle(tick, batch))
             batch = b""
             if not executive.degraded:
-                t_ns = tick * executive.period_ns
-                self._link.write_tick(tick, t_ns, flight.publish(tick, t_ns))
-                flight.dropped_ticks = self._link.dropped
+                self._log.write(tick)
             executive.done()
 
     def _lost(self, tick: int) -> PeerLostError:

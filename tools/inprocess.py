@@ -9,8 +9,9 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from bus.telemetry import Link, TelemetryLink, announce_topics
+from bus.telemetry import Link, TelemetryLink
 from fsw.flight import Flight
+from fsw.flight_log import FlightLog
 from fsw.telemetry import SOURCE as FSW_SOURCE
 from plant_server.plant import Plant
 from plant_server.server import PlantServer
@@ -34,22 +35,20 @@ class Bench:
         self.server = PlantServer(plant, tick_s, resolved.run_hash)
         self.flight = Flight(scenario.fsw, tick_s, resolved.run_hash)
         self._plant_log = PlantLog(self.server, plant_link or TelemetryLink(None, PLANT_SOURCE, False), self._tick_ns)
-        self._fsw_link = fsw_link or TelemetryLink(None, FSW_SOURCE, False)
-        self._fsw_link.announce(announce_topics(self.flight.packers))
+        self._flight_log = FlightLog(self.flight, fsw_link or TelemetryLink(None, FSW_SOURCE, False), self._tick_ns)
 
     def run(self, ticks: int, on_progress: Callable[[int], None] | None = None) -> None:
         """Run that many ticks from where the bench stands."""
-        server, flight, tick_ns = self.server, self.flight, self._tick_ns
-        log, write_fsw = self._plant_log, self._fsw_link.write_tick
+        server, flight = self.server, self.flight
+        log, flight_log = self._plant_log, self._flight_log
         counters = flight.executive
         for tick in range(server.tick, server.tick + ticks):
             frames = server.announce()
             answer = flight.cycle(tick, frames)
             server.accept(answer)
             log.write(frames + answer)
-            t_ns = tick * tick_ns
             counters.cycles += 1
-            write_fsw(tick, t_ns, flight.publish(tick, t_ns))
+            flight_log.write(tick)
             server.advance()
             if on_progress is not None and not tick % 100:
                 on_progress(tick)

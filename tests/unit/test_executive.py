@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import signal
+import time
+
 import pytest
 
 from bus.errors import ConfigError, DeadlineError
@@ -24,6 +27,12 @@ class HandClock:
     def sleep_until(self, deadline_ns: int) -> None:
         self.slept.append(deadline_ns)
         self.now = max(self.now, deadline_ns)
+
+
+def hang(watchdog: Watchdog) -> None:
+    with watchdog.guard():
+        while True:
+            pass
 
 
 def make(policy: str = "skip", limit: int = 3) -> tuple[Executive, HandClock]:
@@ -149,6 +158,18 @@ def test_watchdog_bites_only_when_it_is_not_fed() -> None:
     assert watchdog.silent_ns() == 101
     watchdog.feed()
     assert not watchdog.bitten
+
+
+def test_a_hanging_cycle_is_bitten() -> None:
+    """A loop that never feeds is ended from the timer by name; one that feeds is left alone, and the timer goes."""
+    watchdog = Watchdog(50_000_000)
+    with watchdog.guard():
+        until = time.monotonic() + 0.2
+        while time.monotonic() < until:
+            watchdog.feed()
+    with pytest.raises(DeadlineError, match="watchdog bit"):
+        hang(watchdog)
+    assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
 
 
 def test_rate_groups_run_on_their_ticks() -> None:
