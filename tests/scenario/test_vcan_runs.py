@@ -425,20 +425,19 @@ class TestVirtualTime:
         repeats = int(os.environ.get("HILSAT_REPEATS", "2"))
         with ThreadPoolExecutor(2) as pool:
             flown = list(pool.map(lambda number: self.fly(tmp_path, number), range(repeats)))
-        first = flown[0][0]
+        first = flown[0]
         assert first.result["grade"]["passed"], first.result["grade"]
         assert first.run.t_ns("/truth/attitude").size == 30_000
         assert first.run.signals("/fsw/executive")["slips"][-1] == 0
         stamps_ns = first.run.signals("/can/bus0_kernel_stamps")["received_ns"].astype(np.int64)
         assert abs((stamps_ns[-1] - stamps_ns[0]) * 1e-9 - 300.0) < 0.1
-        for other, wall_s in flown[1:]:
+        for other in flown[1:]:
             assert other.run.digest() == first.run.digest()
             assert set(other.run.topics) == set(first.run.topics)
             for topic in first.run.topics:
                 assert first.run.payloads(topic) == other.run.payloads(topic), topic
-            assert wall_s < 150.0  # 26 s where nothing else runs
 
-    def fly(self, out: Path, number: int) -> tuple[Flown, float]:
+    def fly(self, out: Path, number: int) -> Flown:
         words = [
             "run",
             "zhang2018-flight",
@@ -451,11 +450,9 @@ class TestVirtualTime:
             "-q",
         ]
         inner = [*HILSAT, *words, "--out", str(out / str(number))]
-        started_s = time.monotonic()
         done = subprocess.run(
             [*HILSAT, "vcan", "exec", "--virtual-time", "--rw", str(out), "--", *inner],
             capture_output=True, text=True, cwd=ROOT, timeout=280, check=False,
         )  # fmt: skip
         assert done.returncode == 0, done.stderr
-        flown = Flown(done.returncode, json.loads(done.stdout), done.stderr, out / str(number) / "run.mcap")
-        return flown, time.monotonic() - started_s
+        return Flown(done.returncode, json.loads(done.stdout), done.stderr, out / str(number) / "run.mcap")
