@@ -47,7 +47,8 @@ coverage: $(STAMP)
 # What must never fail is covered whole: every line and branch of executive, codec and safe mode.
 coverage-gate: $(STAMP)
 	$(BIN)/python -m pytest -q tests/unit/test_executive.py tests/unit/test_modes.py tests/unit/test_e2e.py \
-	  tests/property/test_codec.py --cov=fsw.executive --cov=fsw.schedule --cov=fsw.modes --cov=bus.icd_codec --cov=bus.e2e \
+	  tests/property/test_codec.py tests/property/test_usual_batch.py tests/property/test_cycle_fuzz.py \
+	  --cov=fsw.executive --cov=fsw.schedule --cov=fsw.modes --cov=bus.icd_codec --cov=bus.e2e \
 	  --cov-branch --cov-report=term-missing --cov-fail-under=100
 
 clean:

@@ -186,9 +186,12 @@ def test_the_usual_batch_is_taken_at_once() -> None:
 
 def test_one_turned_bit_is_always_seen() -> None:
     """No batch with a single bit turned over, anywhere in header, padding, checksum or payload, passes."""
-    batch = encode_rw_cmds(4, 1, (0.01, -0.02, 0.03, 0.1), 9) + encode_CYCLE_DONE(4, 2, 9, 0)
-    bits = int.from_bytes(batch, "little")
+    commands = encode_rw_cmds(4, 1, (0.01, -0.02, 0.03, 0.1), 9) + encode_CYCLE_DONE(4, 2, 9, 0)
+    bits = int.from_bytes(commands, "little")
     assert all(decode_commands((bits ^ 1 << bit).to_bytes(80, "little"), 4) is None for bit in range(640))
+    sensors = encode_sensors(4, (1.5, -2.5, 600.123, 0.001), (1.0, 2.0, 3.0, 4.0), 9, (0.1, -0.2, 0.3), 9)
+    bits = int.from_bytes(sensors, "little")
+    assert all(decode_sensors((bits ^ 1 << bit).to_bytes(128, "little"), 4) is None for bit in range(1024))
 
 
 finite = st.floats(allow_nan=False)
