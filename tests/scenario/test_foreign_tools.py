@@ -22,6 +22,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import can
+import pyte
 import pytest
 
 import tools
@@ -118,17 +119,23 @@ def interrupt_tool(*command: str, after_s: float) -> str:
 
 
 def watch_screen(*command: str, wanted: Sequence[str]) -> str:
-    """What a full-screen program has drawn on an 120x120 terminal once all of `wanted` is on it; then it is told to quit."""
+    """What a full-screen program shows on a 120x120 terminal once all of `wanted` is on it; then it is told to quit.
+
+    Such programs send only what changed since the last picture, so the picture is kept by a terminal emulator.
+    """
     pid, terminal = pty.fork()
     if pid == 0:
         fcntl.ioctl(0, termios.TIOCSWINSZ, struct.pack("HHHH", 120, 120, 0, 0))
-        os.environ |= {"TERM": "xterm", "LINES": "120", "COLUMNS": "120"}
+        os.environ |= {"TERM": "linux", "LINES": "120", "COLUMNS": "120"}
         os.execv(command[0], command)
-    screen, until = "", time.monotonic() + PATIENCE_S
+    picture = pyte.Screen(120, 120)
+    stream = pyte.ByteStream(picture)
+    shown, until = "", time.monotonic() + PATIENCE_S
     try:
-        while not all(text in screen for text in wanted) and time.monotonic() < until:
+        while not all(text in shown for text in wanted) and time.monotonic() < until:
             if select.select([terminal], [], [], 0.2)[0]:
-                screen += os.read(terminal, 65536).decode(errors="replace")
+                stream.feed(os.read(terminal, 65536))
+                shown = "\n".join(picture.display)
         os.write(terminal, b"q")
         while time.monotonic() < until and os.waitpid(pid, os.WNOHANG) == (0, 0):
             if select.select([terminal], [], [], 0.05)[0]:
@@ -137,14 +144,14 @@ def watch_screen(*command: str, wanted: Sequence[str]) -> str:
         else:
             pid = 0
     except OSError as error:
-        screen += f"\n{error}"
+        shown += f"\n{error}"
     finally:
         if pid:
             with contextlib.suppress(ProcessLookupError, ChildProcessError):
                 os.kill(pid, signal.SIGKILL)
                 os.waitpid(pid, 0)
         os.close(terminal)
-    return screen
+    return shown
 
 
 def await_foreign_frame(node: Transport) -> bool:
