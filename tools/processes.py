@@ -92,7 +92,7 @@ def stop(processes: Sequence[Process], patience_s: float = TERM_PATIENCE_S) -> N
 def share_processor(*processes: Process) -> None:
     """Put processes that wait for each other in turn on one processor.
 
-    They never run at the same time, and waking a processor that has gone to sleep costs more than a whole tick: see
+    They never run at the same time, and waking a processor that has gone to sleep costs as much as a tick's work: see
     docs/decisions/0002-one-processor.md for the measurement.
     """
     allowed = sorted(os.sched_getaffinity(0))
