@@ -195,7 +195,7 @@ class _Supervisor:
         if not processes:
             return
         stop(processes[:2])
-        stop(processes[2:], patience_s=10.0) if processes[2].code is not None else self._finish(processes[2])
+        self._finish(processes[2])
         for name in ("plant", "fsw", "recorder"):
             path = self._out / f"{name}.err"
             if path.exists() and not path.stat().st_size:
