@@ -9,7 +9,6 @@ from __future__ import annotations
 import struct
 import sys
 from collections.abc import Iterator, Sequence
-from enum import IntEnum
 
 FRAME_SIZE = 16
 READS_AT_ONCE = 4096  # so that a bus that never falls silent does not hold a reader for ever
@@ -26,29 +25,6 @@ Filter = tuple[int, int]  # (id, mask), as CAN_RAW_FILTER: a frame passes when f
 
 _FLAG_BYTE = 3 if sys.byteorder == "little" else 0
 _VALID_DLCS = bytes(range(9))
-
-
-class FrameKind(IntEnum):
-    """What a frame is, seen from a bus on which only 11-bit data frames are spoken."""
-
-    DATA = 0  # 11-bit data frame: the only kind that can be ours
-    REMOTE = 1
-    ERROR = 2  # made by a driver, never on the wire: linux/can/error.h
-    EXTENDED = 3
-    MALFORMED = 4  # dlc over 8
-
-
-def classify_frame(can_id: int, dlc: int) -> FrameKind:
-    """Return what kind of frame has this id field (with its flag bits) and this dlc."""
-    if dlc > 8:
-        return FrameKind.MALFORMED
-    if can_id <= SFF_MASK:
-        return FrameKind.DATA
-    if can_id & ERR_FLAG:
-        return FrameKind.ERROR
-    if can_id & RTR_FLAG:
-        return FrameKind.REMOTE
-    return FrameKind.EXTENDED if can_id & EFF_FLAG else FrameKind.MALFORMED
 
 
 def unpack_batch(batch: bytes) -> Iterator[tuple[int, int, bytes]]:

@@ -49,7 +49,7 @@ class Hub:
     accept_local : given each batch (and its frame count) that a client sends, for the node that the hub lives in
     """
 
-    def __init__(self, where: str, node: str, accept_local: Callable[[bytes, int], None] | None = None) -> None:
+    def __init__(self, where: str, node: str, accept_local: Callable[[bytes, int], object] | None = None) -> None:
         self.directory = HubDirectory.make(resolve_directory(where))
         self.address = self.directory.address
         self.node = node

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from bus.errors import BusInUseError, BusLostError
 from bus.frames import FRAME_SIZE, READS_AT_ONCE, Filter, check_batch, count_error_frames
 from bus.hub_directory import HubDirectory, resolve_directory
-from bus.hub_wire import MAX_DATAGRAM, VCAN_QUEUE_FRAMES, VERSION, pack_control, unpack_control
+from bus.hub_wire import MAX_DATAGRAM, VCAN_QUEUE_FRAMES, VERSION, cut_datagrams, pack_control, unpack_control
 from bus.transport import DEFAULT_PATIENCE_S, TransportCounters
 
 SEND_PATIENCE_S = 1.0  # a hub that has not taken a frame for so long is not taking this one either
@@ -68,12 +68,8 @@ class HubClient:
         size = len(batch)
         if size % FRAME_SIZE:
             check_batch(batch)
-        if size <= MAX_DATAGRAM:
-            if size:
-                self._send_part(batch)
-            return
-        for at in range(0, size, MAX_DATAGRAM):
-            self._send_part(batch[at : at + MAX_DATAGRAM])
+        for part in cut_datagrams(batch):
+            self._send_part(part)
 
     def recv(self, timeout_s: float | None = None) -> bytes:
         """Return all frames waiting, at least one; b"" after `timeout_s` [s] or when a node has left."""

@@ -6,10 +6,11 @@ import time
 from collections.abc import Sequence
 
 from bus.errors import BusLostError
-from bus.frames import FRAME_SIZE, Filter, FrameFilter, check_batch, count_error_frames, drop_malformed
+from bus.frames import FRAME_SIZE, Filter, check_batch, drop_malformed
 from bus.hub import Hub
 from bus.hub_member import Peer
-from bus.hub_wire import MAX_DATAGRAM, VCAN_QUEUE_FRAMES
+from bus.hub_wire import VCAN_QUEUE_FRAMES, cut_datagrams
+from bus.inbox import Inbox
 from bus.transport import TransportCounters
 
 SENDS_PER_PUMP = 16  # a host that only sends still serves its clients this often
@@ -29,17 +30,14 @@ class HubHost:
         receive_own: bool = False,
         queue_frames: int = VCAN_QUEUE_FRAMES,
     ) -> None:
-        self._hub = Hub(where, node, self._accept)
+        self.counters = TransportCounters()
+        self._inbox = Inbox(filters, queue_frames, self.counters)
+        self._hub = Hub(where, node, self._inbox.put)
         self.address = self._hub.address
         self.node = node
-        self.counters = TransportCounters()
         self.kernel_stamps_ns: list[int] = []
         self.departed = self._hub.departed
-        self._filter = FrameFilter(filters)
         self._receive_own = receive_own
-        self._limit = queue_frames
-        self._inbox: list[bytes] = []
-        self._inbox_frames = 0
         self._sends = 0
         self._closed = False
 
@@ -62,11 +60,8 @@ class HubHost:
         if self._sends >= SENDS_PER_PUMP:
             self._sends = 0
             self._hub.pump(0.0)
-        if size <= MAX_DATAGRAM:
-            self._send_part(batch)
-            return
-        for at in range(0, size, MAX_DATAGRAM):
-            self._send_part(batch[at : at + MAX_DATAGRAM])
+        for part in cut_datagrams(batch):
+            self._send_part(part)
 
     def recv(self, timeout_s: float | None = None) -> bytes:
         """Return all frames waiting, at least one; b"" after `timeout_s` [s] or when a node has left."""
@@ -89,11 +84,11 @@ class HubHost:
                     break
                 hub.pump(left_s)
         self.counters.malformed = hub.malformed
-        return self._take()
+        return self._inbox.take()
 
     def set_filters(self, filters: Sequence[Filter] | None) -> None:
         """Receive only what passes one of the (id, mask) pairs from now on; None: everything."""
-        self._filter = FrameFilter(filters)
+        self._inbox.set_filters(filters)
 
     def fileno(self) -> int:
         """Return a descriptor that is readable when a client wants something: not always a frame."""
@@ -108,30 +103,4 @@ class HubHost:
         count = self._hub.route(batch, None)
         self.counters.tx += count
         if self._receive_own and count:
-            self._accept(drop_malformed(batch), count)
-
-    def _accept(self, batch: bytes, count: int) -> None:
-        if not self._filter.passes_all:
-            batch = self._filter.select(batch)
-            count = len(batch) // FRAME_SIZE
-            if not count:
-                return
-        room = self._limit - self._inbox_frames
-        if count > room:
-            self.counters.dropped += count - room
-            batch = batch[: room * FRAME_SIZE]
-            count = room
-        if count:
-            self._inbox.append(batch)
-            self._inbox_frames += count
-
-    def _take(self) -> bytes:
-        inbox = self._inbox
-        if not inbox:
-            return b""
-        batch = inbox[0] if len(inbox) == 1 else b"".join(inbox)
-        self.counters.rx += self._inbox_frames
-        self.counters.error_frames += count_error_frames(batch)
-        self._inbox = []
-        self._inbox_frames = 0
-        return batch
+            self._inbox.put(drop_malformed(batch), count)

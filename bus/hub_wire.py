@@ -27,6 +27,13 @@ MAX_FILTERS = 512  # CAN_RAW_FILTER_MAX
 SOCKET_NAME = "hub.sock"
 
 
+def cut_datagrams(batch: bytes) -> tuple[bytes, ...]:
+    """Return the batch in pieces that a datagram may hold; none of an empty one."""
+    if len(batch) <= MAX_DATAGRAM:
+        return (batch,) if batch else ()
+    return tuple(batch[at : at + MAX_DATAGRAM] for at in range(0, len(batch), MAX_DATAGRAM))
+
+
 def pack_control(**message: Any) -> bytes:
     """Return the datagram of one control message."""
     datagram = MARK + json.dumps(message, separators=(",", ":")).encode()

@@ -70,6 +70,19 @@ _HEAD_STR_QA = tuple(_heads(0x1B0, 8, byte) for byte in range(256))
 _HEAD_STR_QB = tuple(_heads(0x1B1, 8, byte) for byte in range(256))
 _HEAD_HEARTBEAT_PLANT = tuple(_heads(0x701, 8, byte) for byte in range(256))
 _HEAD_HEARTBEAT_FSW = tuple(_heads(0x702, 8, byte) for byte in range(256))
+_ID_RW1_TLM = _HEAD_RW1_TLM[0][:8]
+_ID_RW2_TLM = _HEAD_RW2_TLM[0][:8]
+_ID_RW3_TLM = _HEAD_RW3_TLM[0][:8]
+_ID_RW4_TLM = _HEAD_RW4_TLM[0][:8]
+_ID_FOGX_RATE = _HEAD_FOGX_RATE[0][:8]
+_ID_FOGY_RATE = _HEAD_FOGY_RATE[0][:8]
+_ID_FOGZ_RATE = _HEAD_FOGZ_RATE[0][:8]
+_ID_SYNC = _HEAD_SYNC[0][:8]
+_ID_RW1_CMD = _HEAD_RW1_CMD[0][:8]
+_ID_RW2_CMD = _HEAD_RW2_CMD[0][:8]
+_ID_RW3_CMD = _HEAD_RW3_CMD[0][:8]
+_ID_RW4_CMD = _HEAD_RW4_CMD[0][:8]
+_ID_CYCLE_DONE = _HEAD_CYCLE_DONE[0][:8]
 
 
 def _saturate(frame_id: int, *values: float) -> bytes:
@@ -593,21 +606,31 @@ def decode_sensors(batch: bytes, counter: int) -> tuple[float, float, float, flo
 
 _pack_sensors = Struct("<ihBihBihBihBBiBxBiBxBiBxBIxx").pack
 _cut_sensors = Struct("7s7s7s7s7s7s7s7s").unpack
+_lay_sensors = Struct("8sB7s" * 8).pack  # header, checksum, payload
+_held_current_ma: tuple[Any, Any] = (None, None)  # the last argument, its raw values
 
 
 def encode_sensors(
     counter: int, speed_rad_s: Floats4, current_ma: Floats4, sync_cnt: int, rate_rad_s: Floats3, tick: int,
 ) -> bytes:
     """The frames that `decode_sensors` takes, as 128 bytes."""
+    global _held_current_ma
     speed_rad_s_0, speed_rad_s_1, speed_rad_s_2, speed_rad_s_3 = speed_rad_s
     current_ma_0, current_ma_1, current_ma_2, current_ma_3 = current_ma
     rate_rad_s_0, rate_rad_s_1, rate_rad_s_2 = rate_rad_s
     try:
+        seen, raw = _held_current_ma
+        if seen is not current_ma:
+            raw = (
+                round(current_ma_0), round(current_ma_1), round(current_ma_2), round(current_ma_3),
+            )
+            _held_current_ma = (current_ma, raw)
+        current_ma_raw_0, current_ma_raw_1, current_ma_raw_2, current_ma_raw_3 = raw
         data = _pack_sensors(
-            round(speed_rad_s_0 / 0.001) * 256 + counter, round(current_ma_0), sync_cnt,
-            round(speed_rad_s_1 / 0.001) * 256 + counter, round(current_ma_1), sync_cnt,
-            round(speed_rad_s_2 / 0.001) * 256 + counter, round(current_ma_2), sync_cnt,
-            round(speed_rad_s_3 / 0.001) * 256 + counter, round(current_ma_3), sync_cnt, counter,
+            round(speed_rad_s_0 / 0.001) * 256 + counter, current_ma_raw_0, sync_cnt,
+            round(speed_rad_s_1 / 0.001) * 256 + counter, current_ma_raw_1, sync_cnt,
+            round(speed_rad_s_2 / 0.001) * 256 + counter, current_ma_raw_2, sync_cnt,
+            round(speed_rad_s_3 / 0.001) * 256 + counter, current_ma_raw_3, sync_cnt, counter,
             round(rate_rad_s_0 / 1e-09), sync_cnt, counter, round(rate_rad_s_1 / 1e-09), sync_cnt, counter,
             round(rate_rad_s_2 / 1e-09), sync_cnt, counter, tick,
         )
@@ -622,16 +645,16 @@ def encode_sensors(
             encode_FOGZ_RATE(counter, 0, rate_rad_s_2, sync_cnt), encode_SYNC(counter, 0, tick),
         ))
     (data_0, data_1, data_2, data_3, data_4, data_5, data_6, data_7) = _cut_sensors(data)
-    return _join((
-        _HEAD_RW1_TLM[_crc(data_0, 0xDE)], data_0,
-        _HEAD_RW2_TLM[_crc(data_1, 0x92)], data_1,
-        _HEAD_RW3_TLM[_crc(data_2, 0x46)], data_2,
-        _HEAD_RW4_TLM[_crc(data_3, 0x0A)], data_3,
-        _HEAD_FOGX_RATE[_crc(data_4, 0x1F)], data_4,
-        _HEAD_FOGY_RATE[_crc(data_5, 0x53)], data_5,
-        _HEAD_FOGZ_RATE[_crc(data_6, 0x87)], data_6,
-        _HEAD_SYNC[_crc(data_7, 0x77)], data_7,
-    ))  # fmt: skip
+    return _lay_sensors(
+        _ID_RW1_TLM, _crc(data_0, 0xDE), data_0,
+        _ID_RW2_TLM, _crc(data_1, 0x92), data_1,
+        _ID_RW3_TLM, _crc(data_2, 0x46), data_2,
+        _ID_RW4_TLM, _crc(data_3, 0x0A), data_3,
+        _ID_FOGX_RATE, _crc(data_4, 0x1F), data_4,
+        _ID_FOGY_RATE, _crc(data_5, 0x53), data_5,
+        _ID_FOGZ_RATE, _crc(data_6, 0x87), data_6,
+        _ID_SYNC, _crc(data_7, 0x77), data_7,
+    )  # fmt: skip
 
 
 COMMANDS_SIZE = 80
@@ -673,19 +696,29 @@ def decode_commands(batch: bytes, counter: int) -> tuple[float, float, float, fl
 
 _pack_commands = Struct("<iBxxiBxxiBxxiBxxBIH").pack
 _cut_commands = Struct("7s7s7s7s7s").unpack
+_lay_commands = Struct("8sB7s" * 5).pack  # header, checksum, payload
+_held_torque_nm: tuple[Any, Any] = (None, None)  # the last argument, its raw values
 
 
 def encode_commands(
     counter: int, torque_nm: Floats4, sync_cnt: int, mode: int, tick: int, slips: int,
 ) -> bytes:
     """The frames that `decode_commands` takes, as 80 bytes."""
+    global _held_torque_nm
     torque_nm_0, torque_nm_1, torque_nm_2, torque_nm_3 = torque_nm
     try:
+        seen, raw = _held_torque_nm
+        if seen is not torque_nm:
+            raw = (
+                round(torque_nm_0 / 1e-07), round(torque_nm_1 / 1e-07), round(torque_nm_2 / 1e-07),
+                round(torque_nm_3 / 1e-07),
+            )
+            _held_torque_nm = (torque_nm, raw)
+        torque_nm_raw_0, torque_nm_raw_1, torque_nm_raw_2, torque_nm_raw_3 = raw
         data = _pack_commands(
-            round(torque_nm_0 / 1e-07) * 256 + 16 + counter, sync_cnt,
-            round(torque_nm_1 / 1e-07) * 256 + 16 + counter, sync_cnt,
-            round(torque_nm_2 / 1e-07) * 256 + 16 + counter, sync_cnt,
-            round(torque_nm_3 / 1e-07) * 256 + 16 + counter, sync_cnt, _NIBBLES[mode][counter], tick, slips,
+            torque_nm_raw_0 * 256 + 16 + counter, sync_cnt, torque_nm_raw_1 * 256 + 16 + counter, sync_cnt,
+            torque_nm_raw_2 * 256 + 16 + counter, sync_cnt, torque_nm_raw_3 * 256 + 16 + counter, sync_cnt,
+            _NIBBLES[mode][counter], tick, slips,
         )
     except _OUT_OF_RANGE:
         return _join((
@@ -695,13 +728,13 @@ def encode_commands(
             encode_RW4_CMD(counter, 1, torque_nm_3, sync_cnt), encode_CYCLE_DONE(counter, mode, tick, slips),
         ))
     (data_0, data_1, data_2, data_3, data_4) = _cut_commands(data)
-    return _join((
-        _HEAD_RW1_CMD[_crc(data_0, 0x17)], data_0,
-        _HEAD_RW2_CMD[_crc(data_1, 0x5B)], data_1,
-        _HEAD_RW3_CMD[_crc(data_2, 0x8F)], data_2,
-        _HEAD_RW4_CMD[_crc(data_3, 0xC3)], data_3,
-        _HEAD_CYCLE_DONE[_crc(data_4, 0x3B)], data_4,
-    ))  # fmt: skip
+    return _lay_commands(
+        _ID_RW1_CMD, _crc(data_0, 0x17), data_0,
+        _ID_RW2_CMD, _crc(data_1, 0x5B), data_1,
+        _ID_RW3_CMD, _crc(data_2, 0x8F), data_2,
+        _ID_RW4_CMD, _crc(data_3, 0xC3), data_3,
+        _ID_CYCLE_DONE, _crc(data_4, 0x3B), data_4,
+    )  # fmt: skip
 
 
 _LIMITS: dict[int, tuple[tuple[str, float, float, bool], ...]] = {

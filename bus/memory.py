@@ -8,7 +8,8 @@ import threading
 from collections.abc import Sequence
 
 from bus.errors import BusInUseError, BusLostError
-from bus.frames import FRAME_SIZE, Filter, FrameFilter, check_batch, count_error_frames, drop_malformed
+from bus.frames import FRAME_SIZE, Filter, check_batch, drop_malformed
+from bus.inbox import Inbox
 from bus.transport import TransportCounters
 
 _buses: dict[str, MemoryBus] = {}
@@ -43,11 +44,8 @@ class MemoryTransport:
         self.kernel_stamps_ns: list[int] = []
         self.departed: list[str] = []
         self.host = host
-        self._filter = FrameFilter(filters)
+        self._inbox = Inbox(filters, queue_frames, self.counters)
         self._receive_own = receive_own
-        self._limit = queue_frames
-        self._queue: list[bytes] = []
-        self._queued = 0
         self._woken = False  # somebody left: recv() returns early
         self._event_fd = -1
         self._closed = False
@@ -77,33 +75,27 @@ class MemoryTransport:
     def recv(self, timeout_s: float | None = None) -> bytes:
         """Return all frames waiting, at least one; b"" after `timeout_s` [s] or when a node has left."""
         with self._bus.lock:
-            if not self._queue:
+            if not self._inbox:
                 self._wait(timeout_s)
-            if not self._queue:
+            if not self._inbox:
                 self._woken = False
                 self._clear_event()
                 if self._bus.lost or self._closed:
                     raise self._lost()
                 return b""
-            queue = self._queue
-            batch = queue[0] if len(queue) == 1 else b"".join(queue)
-            self._queue = []
-            self._queued = 0
+            batch = self._inbox.take()
             self._clear_event()
-        counters = self.counters
-        counters.rx += len(batch) // FRAME_SIZE
-        counters.error_frames += count_error_frames(batch)
         return batch
 
     def set_filters(self, filters: Sequence[Filter] | None) -> None:
         """Receive only what passes one of the (id, mask) pairs from now on; None: everything."""
-        self._filter = FrameFilter(filters)
+        self._inbox.set_filters(filters)
 
     def fileno(self) -> int:
         """Return a descriptor that is readable while frames wait. Made at the first call: sending then costs more."""
         with self._bus.lock:
             if self._event_fd < 0:
-                self._event_fd = os.eventfd(1 if self._queue else 0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+                self._event_fd = os.eventfd(1 if self._inbox else 0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
             return self._event_fd
 
     def close(self) -> None:
@@ -143,26 +135,12 @@ class MemoryTransport:
             return
         self._waiting = True
         try:
-            self._ready.wait_for(lambda: self._queue or self._woken or self._bus.lost or self._closed, timeout_s)
+            self._ready.wait_for(lambda: self._inbox or self._woken or self._bus.lost or self._closed, timeout_s)
         finally:
             self._waiting = False
 
     def _accept(self, batch: bytes, count: int) -> None:
-        if not self._filter.passes_all:
-            batch = self._filter.select(batch)
-            count = len(batch) // FRAME_SIZE
-            if not count:
-                return
-        room = self._limit - self._queued
-        if count > room:
-            self.counters.dropped += count - room
-            if not room:
-                return
-            batch = batch[: room * FRAME_SIZE]
-            count = room
-        self._queue.append(batch)
-        self._queued += count
-        if self._waiting or self._event_fd >= 0:
+        if self._inbox.put(batch, count) and (self._waiting or self._event_fd >= 0):
             self._signal()
 
     def _signal(self) -> None:

@@ -1,7 +1,9 @@
-"""Telemetry of a running process: one pack call and one write a tick, to the recorder process or to one in memory.
+"""Telemetry of a running process: packed here, written to the recorder process or to one in memory.
 
 A tick's records are complete MCAP Message records (MCAP 1.0, opcode 0x05) from the start, so that nobody downstream
-takes them apart again. What a process says is a stream of pieces, each behind one HEADER:
+takes them apart again. In the tick itself a process only notes a row, what its records are made of; rows become records
+many at a time, which costs half as much (docs/decisions/0003). What a process says is a stream of pieces, each behind
+one HEADER:
 
     ANNOUNCE  the channel table as JSON, first
     TICK      the Message records of one tick
@@ -13,8 +15,8 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
-import functools
 import json
+import operator
 import os
 import select
 import struct
@@ -30,6 +32,7 @@ from bus.units import Vec3, Vec4
 __all__ = [
     "ANNOUNCE", "CLOSE", "HEADER", "JSON", "MAGIC", "TICK", "Field", "Kind", "Link", "MemoryLink", "TelemetryLink",
     "TickPacker", "Topic", "announce_topics", "pack_frames",
+    "pack_frames_stamped", "stamp",
 ]  # fmt: skip
 
 HEADER: Final = struct.Struct("<HBBIqq")  # MAGIC, kind, source, bytes that follow, tick, t_ns
@@ -40,22 +43,27 @@ MESSAGE: Final = 0x05  # MCAP opcode
 PREFIX: Final = struct.Struct("<BQH")  # opcode, length of what follows, channel
 HEAD: Final = struct.Struct("<IQQ4siI")  # sequence, log_time, publish_time, CDR encapsulation, sec, nanosec
 MESSAGE_FIXED: Final = 22  # channel to publish_time
-FRAMES: Final = struct.Struct("<BQHIQQ4siII")
+FRAMES: Final = struct.Struct(f"<BQH{HEAD.size}sI")  # opcode, length, channel, head, bytes of frames
+FRAMES_FIXED: Final = 2 + HEAD.size + 4  # channel to the number of bytes
 
 PIPE_BYTES: Final = 1 << 20  # the largest that an unprivileged process may ask for; about 8 s of a 100 Hz run
 STALL_S: Final = 5.0  # how long a blocking writer waits for the recorder
-GATHER_BYTES: Final = 32 * 1024  # what a blocking writer keeps at most before it writes,
-GATHER_S: Final = 0.05  # and for how long
+HOLD_TICKS: Final = 64  # rows that a process that may wait keeps at most before it packs them,
+HOLD_S: Final = 0.05  # and for how long
+
+Row = tuple[Any, ...]  # tick, t_ns, and whatever the records of that tick are made of
+PackRows = Callable[[list[Row]], list[bytes]]  # the Message records of each
+TICK_OF: Final = operator.itemgetter(0)
 
 
 class TickPacker:
     """Packs one tick of several topics. Channels are numbered from `first_channel` in topic order.
 
-    pack(seq, t_ns, *values) -> bytes: the concatenated Message records of all topics; values flat in topic order,
-    t_ns both log and publish time. Raises struct.error for a value of the wrong kind or a wrong number of them.
+    pack_stamped(head, values) -> bytes: the concatenated Message records of all topics; head from `stamp`, values flat
+    in topic order. Raises struct.error for a value of the wrong kind or a wrong number of them.
     """
 
-    __slots__ = ("channels", "flat_size", "pack", "topics")
+    __slots__ = ("channels", "flat_size", "pack_stamped", "topics")
 
     def __init__(self, topics: Sequence[Topic], first_channel: int) -> None:
         empty = [topic.name for topic in topics if not topic.fields]
@@ -64,10 +72,20 @@ class TickPacker:
         self.topics = tuple(topics)
         self.channels = tuple(range(first_channel, first_channel + len(topics)))
         self.flat_size = sum(topic.flat_size for topic in topics)
-        self.pack: Callable[..., bytes] = _compile_pack(self.topics, self.channels)
+        self.pack_stamped: Callable[[bytes, Sequence[Any]], bytes] = _compile_pack(self.topics, self.channels)
+
+    def pack(self, seq: int, t_ns: int, *values: float) -> bytes:
+        """The records of a tick for which there is no head yet; t_ns is both log and publish time."""
+        return self.pack_stamped(stamp(seq, t_ns), values)
 
 
-def _compile_pack(topics: Sequence[Topic], channels: Sequence[int]) -> Callable[..., bytes]:
+def stamp(seq: int, t_ns: int) -> bytes:
+    """What all records of a tick have behind their prefix: sequence, log and publish time, and the stamp in CDR."""
+    sec = t_ns // 1_000_000_000
+    return HEAD.pack(seq, t_ns, t_ns, ENCAPSULATION, sec, t_ns - sec * 1_000_000_000)
+
+
+def _compile_pack(topics: Sequence[Topic], channels: Sequence[int]) -> Callable[[bytes, Sequence[Any]], bytes]:
     """The pack function of these topics, with the cuts between them written out.
 
     All values are packed by one call, cut, and laid between the heads by a second: one call with the heads among
@@ -82,28 +100,22 @@ def _compile_pack(topics: Sequence[Topic], channels: Sequence[int]) -> Callable[
         constants[f"prefix_{channel}"] = PREFIX.pack(MESSAGE, MESSAGE_FIXED + topic.body_size, channel)
         pieces.append(f"prefix_{channel}, head, data[{at}:{at + size}]")
         at += size
-    source = (
-        "def pack(seq, t_ns, *values):\n"
-        "    sec = t_ns // 1000000000\n"
-        "    head = pack_head(seq, t_ns, t_ns, encapsulation, sec, t_ns - sec * 1000000000)\n"
-        "    data = pack_values(*values)\n"
-        f"    return pack_records({', '.join(pieces)})\n"
-    )
-    constants |= {"pack_head": HEAD.pack, "encapsulation": ENCAPSULATION}
+    source = f"def pack(head, values):\n    data = pack_values(*values)\n    return pack_records({', '.join(pieces)})\n"
     constants |= {"pack_values": struct.Struct(values).pack, "pack_records": struct.Struct(records).pack}
     exec(source, constants)
-    pack: Callable[..., bytes] = constants["pack"]
+    pack: Callable[[bytes, Sequence[Any]], bytes] = constants["pack"]
     return pack
 
 
 def pack_frames(channel: int, seq: int, t_ns: int, batch: bytes) -> bytes:
     """One Message record with all frames of a tick, lossless and in bus order, for /can/<bus>."""
+    return pack_frames_stamped(channel, stamp(seq, t_ns), batch)
+
+
+def pack_frames_stamped(channel: int, head: bytes, batch: bytes) -> bytes:
+    """The same with a head from `stamp`."""
     size = len(batch)
-    sec = t_ns // 1_000_000_000
-    return (
-        FRAMES.pack(MESSAGE, size + 38, channel, seq, t_ns, t_ns, ENCAPSULATION, sec, t_ns - sec * 1_000_000_000, size)
-        + batch
-    )
+    return FRAMES.pack(MESSAGE, FRAMES_FIXED + size, channel, head, size) + batch
 
 
 def announce_topics(packers: Sequence[TickPacker] = (), frames: dict[int, str] | None = None) -> bytes:
@@ -135,24 +147,43 @@ def announce_topics(packers: Sequence[TickPacker] = (), frames: dict[int, str] |
 
 
 class Link:
-    """Where a process puts its telemetry. `dropped` counts the ticks that found no room."""
+    """Where a process puts its telemetry. `dropped` counts the ticks that found no room.
 
-    dropped: int = 0
+    hold_ticks : how many rows may wait before they are packed; 1: none does
+    """
 
-    def announce(self, topics_json: bytes) -> None:
-        """State the channel table, once, before the first tick; see announce_topics."""
+    def __init__(self, hold_ticks: int) -> None:
+        self.dropped = 0
+        self._hold_ticks = hold_ticks
+        self._rows: list[Row] = []
+        self._pack_rows: PackRows | None = None
+
+    def announce(self, topics_json: bytes, pack_rows: PackRows | None = None) -> None:
+        """State the channel table (see announce_topics) and how rows become records, once, before the first tick."""
+        self._pack_rows = pack_rows
+
+    def write_row(self, row: Row) -> None:
+        """Hand over a tick as a row. Everything in it must stay as it is: tuples and numbers. Ticks rise."""
+        self._rows.append(row)
+        if len(self._rows) >= self._hold_ticks:
+            self.flush()
+
+    def flush(self) -> None:
+        """Let go of what is held back, before a wait that may be long."""
+        if self._rows and self._pack_rows is not None:
+            rows, self._rows = self._rows, []
+            self._write_ticks(rows, self._pack_rows(rows))
+
+    def _write_ticks(self, rows: list[Row], records: list[bytes]) -> None:
         raise NotImplementedError
 
     def write_tick(self, tick: int, t_ns: int, records: bytes) -> None:
-        """Hand over the Message records of one tick. Ticks rise."""
+        """Hand over the Message records of one tick, ready made."""
         raise NotImplementedError
 
     def write_json(self, topic: str, t_ns: int, payload: bytes) -> None:
         """Hand over one JSON object for a topic of bus.events; it is filed behind the tick written next."""
         raise NotImplementedError
-
-    def flush(self) -> None:
-        """Let go of what is held back, before a wait that may be long."""
 
     def close(self, reason: str = "") -> None:
         """End the stream and say why. Harmless when repeated."""
@@ -181,47 +212,47 @@ class TelemetryLink(Link):
     Raises RecordError once the recorder is gone, or takes nothing for 5 s.
 
     A real-time process writes every tick at once: one system call, no later stall. A blocking one runs as fast as it can,
-    and the recorder's wake-up costs more than the writing: it gathers ticks for GATHER_S or GATHER_BYTES.
+    and the recorder's wake-up costs more than the writing: it holds rows for HOLD_S or HOLD_TICKS.
     """
 
     def __init__(self, fd: int | None, source: int, blocking: bool) -> None:
+        super().__init__(HOLD_TICKS if blocking else 1)
         self._fd = fd
         self._source = source
         self._blocking = blocking
         self._tail = b""  # the rest of a piece that the pipe took only in part
-        self._gathered: list[bytes] = []
-        self._room = GATHER_BYTES
-        self._due_s = 0.0  # when to write, of the monotonic clock
+        self._due_s = 0.0  # when to pack the rows, of the monotonic clock
         self._last_tick = 0
-        self.dropped = 0
         if fd is not None:
             os.set_blocking(fd, False)
             with contextlib.suppress(OSError):  # a link through something else than a pipe has the room it has
                 widen_pipe(fd)
 
-    def announce(self, topics_json: bytes) -> None:
+    def announce(self, topics_json: bytes, pack_rows: PackRows | None = None) -> None:
+        super().announce(topics_json, None if self._fd is None else pack_rows)
         self._send(HEADER.pack(MAGIC, ANNOUNCE, self._source, len(topics_json), 0, 0) + topics_json, wait=True)
+
+    def write_row(self, row: Row) -> None:
+        if self._pack_rows is None:
+            return
+        rows = self._rows
+        rows.append(row)
+        now_s = time.monotonic()
+        if len(rows) == 1:
+            self._due_s = now_s + HOLD_S
+        if len(rows) >= self._hold_ticks or now_s >= self._due_s:
+            self.flush()
+
+    def _write_ticks(self, rows: list[Row], records: list[bytes]) -> None:
+        pieces: list[bytes] = []
+        for (tick, t_ns, *_), data in zip(rows, records, strict=True):
+            pieces += HEADER.pack(MAGIC, TICK, self._source, len(data), tick, t_ns), data
+        self._last_tick = tick
+        self._send(b"".join(pieces), self._blocking)
 
     def write_tick(self, tick: int, t_ns: int, records: bytes) -> None:
         self._last_tick = tick
-        head = HEADER.pack(MAGIC, TICK, self._source, len(records), tick, t_ns)
-        if not self._blocking:
-            self._send(head + records, wait=False)
-            return
-        now_s = time.monotonic()
-        if not self._gathered:
-            self._due_s = now_s + GATHER_S
-        self._gathered += head, records
-        self._room -= len(records)
-        if self._room < 0 or now_s >= self._due_s:
-            self.flush()
-
-    def flush(self) -> None:
-        if self._gathered:
-            piece = b"".join(self._gathered)
-            self._gathered.clear()
-            self._room = GATHER_BYTES
-            self._send(piece, wait=True)
+        self._send(HEADER.pack(MAGIC, TICK, self._source, len(records), tick, t_ns) + records, self._blocking)
 
     def write_json(self, topic: str, t_ns: int, payload: bytes) -> None:
         text = topic.encode() + b"\0" + payload
@@ -287,7 +318,7 @@ class Sink(Protocol):
     """What a recorder in this process takes."""
 
     def announce(self, source: int, topics_json: bytes) -> None: ...
-    def write_tick(self, source: int, tick: int, t_ns: int, records: bytes) -> None: ...
+    def write_ticks(self, source: int, ticks: list[int], t_ns: int, records: list[bytes]) -> None: ...
     def write_json(self, source: int, topic: str, t_ns: int, payload: bytes) -> None: ...
     def end_source(self, source: int, reason: str, dropped: int) -> None: ...
 
@@ -296,21 +327,29 @@ class MemoryLink(Link):
     """Telemetry straight to a recorder in the same process. Never drops."""
 
     def __init__(self, sink: Sink, source: int) -> None:
+        super().__init__(HOLD_TICKS)
         self._sink = sink
         self._source = source
         self._open = True
-        # A bound partial instead of a method: one call less in every tick.
-        self.write_tick = functools.partial(sink.write_tick, source)  # type: ignore[method-assign]
 
-    def announce(self, topics_json: bytes) -> None:
+    def announce(self, topics_json: bytes, pack_rows: PackRows | None = None) -> None:
+        super().announce(topics_json, pack_rows)
         self._sink.announce(self._source, topics_json)
 
+    def _write_ticks(self, rows: list[Row], records: list[bytes]) -> None:
+        self._sink.write_ticks(self._source, list(map(TICK_OF, rows)), rows[-1][1], records)
+
+    def write_tick(self, tick: int, t_ns: int, records: bytes) -> None:
+        self._sink.write_ticks(self._source, [tick], t_ns, [records])
+
     def write_json(self, topic: str, t_ns: int, payload: bytes) -> None:
+        self.flush()
         self._sink.write_json(self._source, topic, t_ns, payload)
 
     def close(self, reason: str = "") -> None:
         if self._open:
             self._open = False
+            self.flush()
             self._sink.end_source(self._source, reason, self.dropped)
 
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 
-from bus.telemetry import TickPacker
+from bus.telemetry import Row
 from bus.units import Vec3, Vec4
 from fsw import allocators, controllers, estimation, fdi, observers
 from fsw.config import FswConfig
@@ -17,7 +17,6 @@ from fsw.interfaces import Demand, Estimate, Sensors
 from fsw.modes import POINT, STANDBY, Mode, ModeManager
 from fsw.outputs import Outputs
 from fsw.schedule import RateGroup, flight_schedule
-from fsw.telemetry import FIRST_CHANNEL, TICK_TOPICS, make_control_topics, make_flattener
 from fsw.wheel_axes import combine_wheels
 
 NO_TORQUE: Vec4 = (0.0, 0.0, 0.0, 0.0)
@@ -45,14 +44,7 @@ class Flight:
         self._control_s = tick_s * config.executive.control_divider
         self._damping_nm_s = config.modes.damping_nm_s
         self._wheel_momentum = model.wheel_momentum
-        law, detector = self.controller.internals, self.detector.internals
-        every_tick = TickPacker(TICK_TOPICS, FIRST_CHANNEL)
-        on_control = TickPacker(make_control_topics(law, detector), FIRST_CHANNEL + len(TICK_TOPICS))
-        self.packers = (every_tick, on_control)
-        self._pack, self._pack_control = every_tick.pack, on_control.pack
-        self._flatten_law, self._flatten_detector = make_flattener(law), make_flattener(detector)
         self.safe_requested = False
-        self.dropped_ticks = 0
         self._reset_outputs()
 
     def _reset_outputs(self) -> None:
@@ -66,22 +58,23 @@ class Flight:
 
     def cycle(self, tick: int, batch: bytes) -> bytes:
         """Run the cycle of this tick on the frames received since the last; return the frames to send."""
-        sensors = self.inputs.receive(tick, batch)
+        inputs = self.inputs
+        sensors = inputs.receive(tick, batch)
         estimate = self.estimator.step(sensors)
         self.detection = detection = self.detector.step(sensors, estimate, self.tau_rw_cmd_nm)
         estimate, rate_step_b_rad_s, _, _, _, request_safe, rate_good = detection
-        self.estimate = estimate
         _, omega_bi_b_rad_s, _, valid = estimate
-        safe_requested = self.safe_requested or request_safe
-        mode = self.modes.step(valid and sensors.star_valid, rate_good, omega_bi_b_rad_s, safe_requested)
+        mode = self.modes.step(
+            valid and sensors.star_valid, rate_good, omega_bi_b_rad_s, self.safe_requested or request_safe
+        )
         if rate_step_b_rad_s != ZERO:
             self.observer.shift_rate(rate_step_b_rad_s)
         self._control_ran = self._control.due(tick)
         if self._control_ran:
             self._command(mode, sensors, estimate)
-        sync_cnt = self.inputs.plant_tick & 0xFF
-        enabled = mode is not STANDBY
-        return self.outputs.commands(tick, sync_cnt, self.tau_rw_cmd_nm, enabled, mode, self.executive.slips)
+        return self.outputs.commands(
+            tick, inputs.plant_tick & 0xFF, self.tau_rw_cmd_nm, mode is not STANDBY, mode, self.executive.slips
+        )
 
     def _command(self, mode: Mode, sensors: Sensors, estimate: Estimate) -> None:
         """Observe, guide, control, allocate: everything that runs at the control rate."""
@@ -117,23 +110,20 @@ class Flight:
     def _wheel_momentum_b(self, sensors: Sensors) -> Vec3:
         return combine_wheels(sensors.h_rw_nms) if self._wheel_momentum else ZERO
 
-    def publish(self, tick: int, t_ns: int) -> bytes:
-        """The telemetry records of this cycle: those of every tick, and those of control where it ran."""
-        q_ib, omega_bi_b_rad_s, bias_b_rad_s, _ = self.estimate
-        _, _, gyro_state, wheel_alarm, fault_hat_b_rad_s, _, _ = self.detection
-        counters = self.executive
-        records = self._pack(
-            tick, t_ns, *q_ib, *omega_bi_b_rad_s, *bias_b_rad_s, *self.q_err, self._error_deg,
-            *fault_hat_b_rad_s, *gyro_state, *wheel_alarm,
-            counters.last_cycle_ns * 1e-3, counters.max_cycle_ns * 1e-3, counters.last_lateness_ns * 1e-3,
-            self.dropped_ticks,
-        )  # fmt: skip
-        return records + self._publish_control(tick, t_ns) if self._control_ran else records
+    def publish(self, tick: int, t_ns: int, dropped: int) -> Row:
+        """The telemetry of this cycle as a row: every cycle's part, and that of control on the ticks on which it ran.
 
-    def _publish_control(self, tick: int, t_ns: int) -> bytes:
-        refused = self.inputs.counters
-        return self._pack_control(
-            tick, t_ns, *self.tau_cmd_b_nm, *self.tau_rw_cmd_nm, *self.tau_fault_hat_b_nm,
-            tick, self.modes.mode, self.executive.slips, refused.refused, refused.foreign, refused.implausible,
-            *self._flatten_law(self.controller.internals), *self._flatten_detector(self.detector.internals),
+        dropped : ticks so far for whose telemetry the recorder had no room
+        """
+        counters = self.executive
+        control = None
+        if self._control_ran:
+            inputs = self.inputs.counters
+            control = (
+                self.tau_cmd_b_nm, self.tau_rw_cmd_nm, self.tau_fault_hat_b_nm, self.modes.mode, counters.slips,
+                inputs.refused, inputs.foreign, inputs.implausible, self.controller.internals, self.detector.internals,
+            )  # fmt: skip
+        return (
+            tick, t_ns, self.q_err, self._error_deg, self.detection,
+            counters.last_cycle_ns, counters.max_cycle_ns, counters.last_lateness_ns, dropped, control,
         )  # fmt: skip

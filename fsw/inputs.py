@@ -3,8 +3,8 @@
 A frame is used only if its length, checksum and alive counter are right. What does not arrive is held at its last good
 value for `stale_after_ticks`, then marked not valid. Nothing that comes from the bus can raise out of here.
 
-Two ways lead to the same result. `_receive_usual` takes the batch of a tick on which every unit spoke in its turn, all
-at once. Whatever differs from that in one bit goes frame by frame through `_receive_each`.
+Two ways lead to the same result. `receive` takes the batch of a tick on which every unit spoke in its turn, all at once.
+Whatever differs from that in one bit goes frame by frame through `_receive_each`.
 """
 
 from __future__ import annotations
@@ -87,6 +87,7 @@ class Inputs:
         self._rate_tick = (NEVER, NEVER, NEVER)
         self._speed: Vec4 = (0.0, 0.0, 0.0, 0.0)
         self._speed_tick = (NEVER, NEVER, NEVER, NEVER)
+        self._usual: tuple[int, Vec3, Vec4] | None = None  # tick, rate and speed of all units, ahead of those above
         self._star_a: tuple[int, int, float, float] | None = None
         self._q: Vec4 = (1.0, 0.0, 0.0, 0.0)
         self._q_tick = NEVER  # tick at which the attitude was measured
@@ -102,46 +103,41 @@ class Inputs:
         """Everything that is known at this tick, after the given frames."""
         self._tick = tick
         self._q_new = False
-        if len(batch) == SENSORS_SIZE:
-            return self._receive_usual(tick, batch, b"") or self._receive_each(tick, batch)
-        between = batch[UNITS_SIZE:-FRAME_SIZE]
-        if _is_apart(between):
-            usual = self._receive_usual(tick, batch[:UNITS_SIZE] + batch[-FRAME_SIZE:], between)
-            if usual is not None:
-                return usual
-        return self._receive_each(tick, batch)
-
-    def _receive_usual(self, tick: int, batch: bytes, between: bytes) -> Sensors | None:
-        """Take the frames of a tick on which every unit reports a good value, in order; None when they are not that.
-
-        between : frames of other units that stood ahead of SYNC
-        """
-        values = decode_sensors(batch, self._group.expected)
+        between = b""
+        usual = batch
+        if len(batch) != SENSORS_SIZE:
+            between = batch[UNITS_SIZE:-FRAME_SIZE]
+            if not _is_apart(between):
+                return self._receive_each(tick, batch)
+            usual = batch[:UNITS_SIZE] + batch[-FRAME_SIZE:]
+        values = decode_sensors(usual, self._group.expected)
         if values is None:
-            return None
+            return self._receive_each(tick, batch)
         s1, s2, s3, s4, x, y, z, plant_tick = values
         top = self._speed_limit_rad_s
         if not (-top <= s1 <= top and -top <= s2 <= top and -top <= s3 <= top and -top <= s4 <= top):
-            return None
+            return self._receive_each(tick, batch)
         self._group.accept()
         self.plant_tick = plant_tick
-        self._rate = rate = (x, y, z)
-        self._rate_tick = (tick, tick, tick)
-        self._speed = speed = (s1, s2, s3, s4)
-        self._speed_tick = (tick, tick, tick, tick)
+        rate, speed = (x, y, z), (s1, s2, s3, s4)
+        self._usual = (tick, rate, speed)
         if between:
             self._take(between)
-        age_s = (tick - self._q_tick) * self._tick_s
+        tick_s = self._tick_s
+        age_s = (tick - self._q_tick) * tick_s
         i = self._rotor_inertia_kgm2
-        momentum = (s1 * i, s2 * i, s3 * i, s4 * i)
         return tuple.__new__(
             Sensors,
-            (tick, tick * self._tick_s, rate, ALL_AXES, self._q, self._q_new, age_s <= self._star_hold_s, age_s,
-             speed, ALL_WHEELS, momentum),
+            (tick, tick * tick_s, rate, ALL_AXES, self._q, self._q_new, age_s <= self._star_hold_s, age_s,
+             speed, ALL_WHEELS, (s1 * i, s2 * i, s3 * i, s4 * i)),
         )  # fmt: skip
 
     def _receive_each(self, tick: int, batch: bytes) -> Sensors:
         """Take any frames, one by one."""
+        if self._usual is not None:
+            last, self._rate, self._speed = self._usual
+            self._rate_tick, self._speed_tick = (last, last, last), (last, last, last, last)
+            self._usual = None
         self._group.part()
         self._take(batch)
         self._group.join()

@@ -9,7 +9,6 @@ Safe mode damps the rate while the gyro is good and commands zero torque otherwi
 
 from __future__ import annotations
 
-import math
 from enum import IntEnum
 
 from bus.units import DEG, Vec3
@@ -33,8 +32,8 @@ class ModeManager:
 
     def __init__(self, config: ModesConfig) -> None:
         self._initial = Mode[config.initial.upper()]
-        self._detumble_above_rad_s = config.detumble_above_deg_s * DEG
-        self._point_below_rad_s = config.point_below_deg_s * DEG
+        self._detumble_above = (config.detumble_above_deg_s * DEG) ** 2  # rates squared [rad^2/s^2]
+        self._point_below = (config.point_below_deg_s * DEG) ** 2
         self._recover_after = config.recover_after_ticks
         self.reset()
 
@@ -64,15 +63,19 @@ class ModeManager:
                 self._enter(self._start(omega_bi_b_rad_s), "sensors good")
         elif not good:
             self._enter(SAFE, _why(attitude_good, rate_good))
-        elif mode is DETUMBLE:
-            if _norm(omega_bi_b_rad_s) < self._point_below_rad_s and self._initial is not DETUMBLE:
-                self._enter(POINT, "rate low")
-        elif _norm(omega_bi_b_rad_s) > self._detumble_above_rad_s:
-            self._enter(DETUMBLE, "rate high")
+        else:
+            x, y, z = omega_bi_b_rad_s
+            square = x * x + y * y + z * z
+            if mode is DETUMBLE:
+                if square < self._point_below and self._initial is not DETUMBLE:
+                    self._enter(POINT, "rate low")
+            elif square > self._detumble_above:
+                self._enter(DETUMBLE, "rate high")
         return self.mode
 
     def _start(self, omega_bi_b_rad_s: Vec3) -> Mode:
-        if self._initial is POINT and _norm(omega_bi_b_rad_s) > self._detumble_above_rad_s:
+        x, y, z = omega_bi_b_rad_s
+        if self._initial is POINT and x * x + y * y + z * z > self._detumble_above:
             return DETUMBLE
         return self._initial
 
@@ -86,7 +89,3 @@ def _why(attitude_good: bool, rate_good: bool) -> str:
     if not rate_good:
         return "rate stale"
     return "safe mode requested" if attitude_good else "attitude stale"
-
-
-def _norm(v: Vec3) -> float:
-    return math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])

@@ -154,7 +154,7 @@ class PlantConfig:
 
     __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
 
-    step_s: Annotated[Seconds, Gt(0), Le(0.1)] = 0.01  # RK4 step; the tick must be a whole multiple
+    step_s: Annotated[Seconds, Gt(0), Le(0.1)] = 0.01  # integration step; the tick must be a whole multiple
     body: BodyConfig
     wheels: tuple[WheelConfig, WheelConfig, WheelConfig, WheelConfig]
     gyro: GyroConfig = field(default_factory=GyroConfig)

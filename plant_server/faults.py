@@ -256,7 +256,7 @@ class FaultTimeline:
         self._seed = seed
         self._count = 0
         self._edges: list[tuple[int, int, FaultConfig, bool]] = []  # soonest last
-        self._next_edge = NEVER
+        self.next_edge = NEVER  # step of the next onset or end
         for fault in faults:
             self._enter(fault, 0)
 
@@ -275,8 +275,6 @@ class FaultTimeline:
 
     def take_events(self, step: int) -> tuple[FaultEvent, ...]:
         """Return the onsets and ends up to and including `step` that were not returned before."""
-        if step < self._next_edge:
-            return ()
         events = []
         while self._edges and self._edges[-1][0] <= step:
             edge, index, fault, active = self._edges.pop()
@@ -285,7 +283,7 @@ class FaultTimeline:
             text = ", ".join(f"{key} {value:g}" for key, value in given)
             value = given[0][1] if given else 0.0
             events.append(FaultEvent(tick, edge * self._step_s, index, fault.unit, fault.kind, active, value, text))
-        self._next_edge = self._edges[-1][0] if self._edges else NEVER
+        self.next_edge = self._edges[-1][0] if self._edges else NEVER
         return tuple(events)
 
     def _count_steps(self, time_s: float) -> int:
@@ -309,7 +307,7 @@ class FaultTimeline:
         if off < NEVER:
             self._edges.append((off, index, fault, False))
         self._edges.sort(key=lambda edge: (edge[0], edge[3], edge[1]), reverse=True)
-        self._next_edge = self._edges[-1][0]
+        self.next_edge = self._edges[-1][0]
         return index
 
     def _round_to_tick(self, step: int) -> int:

@@ -235,7 +235,17 @@ def _shift(fault: ActiveFault, rate: float, t_s: float) -> float:
 class Gyro:
     """The triad."""
 
-    __slots__ = ("_ideal", "_quiet_until", "_range", "_sensing", "axes", "instantaneous", "silent", "status")
+    __slots__ = (
+        "_ideal",
+        "_quiet_until",
+        "_range",
+        "_sensing",
+        "axes",
+        "instantaneous",
+        "silent",
+        "status",
+        "truth_rad_s",
+    )
 
     def __init__(self, config: GyroConfig, timeline: FaultTimeline, dt_s: float, seed: int) -> None:
         self.instantaneous = config.preset == "ideal"
@@ -246,6 +256,8 @@ class Gyro:
         self.axes = tuple(GyroAxis(unit, config, axis, timeline, dt_s, seed) for axis, unit in enumerate(GYRO_AXES))
         self.status = (OK, OK, OK)
         self.silent = (False, False, False)
+        self.truth_rad_s: tuple[float, ...] = ()  # bias of each axis, then what the faults add, in the last sample
+        self._look_at_axes()
         self._range = config.range_rad_s
         self._ideal = self._sensing is None and all(axis.ideal for axis in self.axes)
         self._quiet_until = -1  # step before which no fault acts, for the short way of ideal axes
@@ -267,6 +279,7 @@ class Gyro:
         rate = (ax.sample(x, step, t_s), ay.sample(y, step, t_s), az.sample(z, step, t_s))
         self.status = (ax.status, ay.status, az.status)
         self.silent = (ax.silent, ay.silent, az.silent)
+        self._look_at_axes()
         if self._ideal:
             clean = self.status == (OK, OK, OK) and not (ax.chain.active or ay.chain.active or az.chain.active)
             self._quiet_until = min(axis.chain.next_edge for axis in self.axes) if clean else -1
@@ -275,3 +288,7 @@ class Gyro:
     def look_again(self) -> None:
         """Note that a fault was added to one of the chains."""
         self._quiet_until = -1
+
+    def _look_at_axes(self) -> None:
+        x, y, z = self.axes
+        self.truth_rad_s = (x.bias_rad_s, y.bias_rad_s, z.bias_rad_s, x.fault_rad_s, y.fault_rad_s, z.fault_rad_s)

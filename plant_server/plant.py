@@ -1,13 +1,13 @@
 """The plant: rigid body, wheels, sensors, environment and faults, advanced tick by tick. Knows no bus and no clock.
 
-`sample` gives what the units measure at tick k, `truth` what is so, `step` goes to k + 1 in tick / step_s RK4 steps.
+`sample` gives what the units measure at tick k, `truth` what is so, `step` goes to k + 1 in tick / step_s integration steps.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from bus.attitude import IDENTITY, angle_between, normalise, rotate
 from bus.errors import ConfigError
@@ -28,6 +28,7 @@ Status4 = tuple[int, int, int, int]
 Flags3 = tuple[bool, bool, bool]
 Flags4 = tuple[bool, bool, bool, bool]
 
+NORMALISE_MASK = 0xFF  # the attitude's norm, kept by each step but for 1e-16, is set right every 256 steps
 INTERVAL = "mean over the tick that ended now"
 
 # group -> (name, count, unit, meaning), in the order of `Plant.truth()`
@@ -53,6 +54,11 @@ TRUTH_FIELDS: dict[str, tuple[tuple[str, int, str, str], ...]] = {
 }
 
 
+# attitude, rate, momentum of the stepper; of the wheels: speed, momentum, command, and what it would be on the body; means
+# over the last tick; bias and fault of the gyro's axes
+Snapshot = tuple[Vec4, Vec3, Vec3, Vec4, Vec3, Vec4, Vec3, tuple[Vec4, Vec3, Vec3], tuple[float, ...]]
+
+
 class Samples(NamedTuple):
     """What the units report at one tick. A silent unit's values are there, but its frame must not be sent."""
 
@@ -73,9 +79,9 @@ class Plant:
     """Truth model of one spacecraft."""
 
     __slots__ = (
-        "_environment", "_ext_b_nm", "_gyro", "_gyroscopic", "_mean_rate", "_momentum", "_omega", "_q_ib", "_seconds",
-        "_star", "_step", "_stepper", "_steps_per_tick", "_target_q", "_tau_b_nm", "_tau_nm", "_tick_s", "_timeline",
-        "_wheels", "config", "tick",
+        "_environment", "_ext_b_nm", "_gyro", "_gyroscopic", "_h_b", "_h_rw", "_means", "_momentum", "_omega",
+        "_per_tick_s", "_q_ib", "_seconds", "_speed", "_star", "_step", "_stepper", "_steps_per_tick", "_target_q",
+        "_tick_s", "_timeline", "_turn", "_wheels", "config", "tick",
     )  # fmt: skip
 
     def __init__(
@@ -103,6 +109,7 @@ class Plant:
         self.tick = 0
         self._step = 0
         self._tick_s = tick_s
+        self._per_tick_s = 1.0 / tick_s
         self._steps_per_tick = round(tick_s / config.step_s)
         self._seconds = tick_s / self._steps_per_tick
         self._target_q = normalise(target_q)
@@ -110,65 +117,71 @@ class Plant:
         x, y, z = config.body.rate_deg_s
         self._omega: Vec3 = (x * DEG, y * DEG, z * DEG)
         self._q_ib = normalise(config.body.attitude_q)
-        self._wheels = WheelSet(config, self._timeline, self._omega, self._seconds, seed)
+        self._wheels = wheels = WheelSet(config, self._timeline, self._seconds, seed)
+        a, b, c, d = (wheel.speed_rad_s for wheel in config.wheels)
+        self._speed: Vec4 = (a, b, c, d)  # of the rotors, relative to the body
+        self._h_rw = wheels.find_momenta(self._speed, self._omega)
+        self._h_b = wheels.combine(self._h_rw)
         inertia = _symmetrise(config.body.inertia_kgm2)
         self._gyroscopic = config.body.wheel_gyroscopic
-        self._stepper = build_stepper(invert_symmetric(inertia), self._seconds)
+        self._stepper = build_stepper(invert_symmetric(inertia), self._seconds, wheels.axes_b, wheels.inertia_kgm2)
         self._momentum = multiply_matrix(inertia, self._omega)  # what the stepper integrates, see dynamics.py
         if self._gyroscopic:
-            self._momentum = _add(self._momentum, self._wheels.h_b_nms)
-        self._environment = Environment(config.torques, self._wheels.add_rotors(inertia))
+            self._momentum = _add(self._momentum, self._h_b)
+        self._environment = Environment(config.torques, wheels.add_rotors(inertia))
+        self._ext_b_nm: Vec3 = self._environment.constant_b_nm  # external torque over the last step
         self._gyro = Gyro(config.gyro, self._timeline, tick_s, seed)
         self._star = StarTracker(config.star_tracker, self._timeline, tick_s, seed)
-        self._mean_rate = self._omega
-        self._tau_nm: Vec4 = (0.0, 0.0, 0.0, 0.0)
-        self._tau_b_nm: Vec3 = (0.0, 0.0, 0.0)
-        self._ext_b_nm: Vec3 = (0.0, 0.0, 0.0)
+        self._turn = _scale(self._omega, tick_s)  # angle about each body axis over the last tick
+        # means over the last tick: torque of each wheel, their sum on the body, external torque
+        self._means: tuple[Vec4, Vec3, Vec3] = ((0.0, 0.0, 0.0, 0.0), NOTHING, NOTHING)
 
     # -- measuring -------------------------------------------------------------------------------------------------
 
     def sample(self) -> Samples:
         """Return what the units measure now. Once per tick: sensors draw their noise here."""
-        step, t_s = self._step, self.tick * self._tick_s
-        wheels, gyro = self._wheels, self._gyro
-        wheels.look(step)
-        rate = gyro.sample(self._omega if gyro.instantaneous else self._mean_rate, step, t_s)
+        return Samples._make(self.measure())
+
+    def measure(self) -> tuple[Any, ...]:
+        """The same as a plain tuple, in the order of `Samples`, for whom a tick must not cost more than it does."""
+        step, tick = self._step, self.tick
+        t_s = tick * self._tick_s
+        wheels, gyro, star, timeline = self._wheels, self._gyro, self._star, self._timeline
+        if step >= wheels.next_look:
+            wheels.look(step)
+        rate = gyro.sample(self._omega if gyro.instantaneous else _scale(self._turn, self._per_tick_s), step, t_s)
         silent, wheel_silent = gyro.silent, wheels.silent
-        return tuple.__new__(  # a third of the cost of calling the class
-            Samples,
-            (self.tick, rate, gyro.status, silent, self._star.sample(self.tick, self._q_ib, self._omega, step, t_s),
-             wheels.sample_speed(), wheels.sample_current(), wheels.sample_status(), wheel_silent,
-             True in silent or True in wheel_silent, self._timeline.take_events(step)),
+        return (
+            tick, rate, gyro.status, silent,
+            star.sample(tick, self._q_ib, self._omega, step, t_s) if tick >= star.next_tick else None,
+            wheels.sample_speed(self._speed) if wheels.noisy else self._speed, wheels.current_a, wheels.status,
+            wheel_silent, True in silent or True in wheel_silent,
+            timeline.take_events(step) if step >= timeline.next_edge else (),
+        )  # fmt: skip
+
+    def snapshot(self) -> Snapshot:
+        """Return what is so now as it stands; `expand` makes the truth of it, at any later time."""
+        wheels = self._wheels
+        return (
+            self._q_ib, self._omega, self._momentum, self._speed, self._h_b, wheels.command_nm, wheels.command_b_nm,
+            self._means, self._gyro.truth_rad_s,
+        )  # fmt: skip
+
+    def expand(self, snapshot: Snapshot) -> tuple[float, ...]:
+        """Return what was so at a snapshot, flat, in the order of TRUTH_FIELDS."""
+        q, omega, momentum, speed, h, command, (fx, fy, fz), (tau, (tx, ty, tz), external), gyro = snapshot
+        if not self._gyroscopic:
+            momentum = _add(momentum, h)
+        error_deg = angle_between(self._target_q, q) / DEG
+        return (
+            *q, *omega, error_deg, *rotate(q, momentum),
+            *speed, *tau, *command, *h, tx - fx, ty - fy, tz - fz, *external,
+            *gyro,
         )  # fmt: skip
 
     def truth(self) -> tuple[float, ...]:
         """Return what is so now, flat, in the order of TRUTH_FIELDS."""
-        wheels = self._wheels
-        h = wheels.h_b_nms
-        momentum = self._momentum if self._gyroscopic else _add(self._momentum, h)
-        x, y, z = self._gyro.axes
-        fx, fy, fz = wheels.command_b_nm
-        tx, ty, tz = self._tau_b_nm
-        return (
-            *self._q_ib,
-            *self._omega,
-            angle_between(self._target_q, self._q_ib) / DEG,
-            *rotate(self._q_ib, momentum),
-            *wheels.speed_rad_s,
-            *self._tau_nm,
-            *wheels.command_nm,
-            *h,
-            tx - fx,
-            ty - fy,
-            tz - fz,
-            *self._ext_b_nm,
-            x.bias_rad_s,
-            y.bias_rad_s,
-            z.bias_rad_s,
-            x.fault_rad_s,
-            y.fault_rad_s,
-            z.fault_rad_s,
-        )
+        return self.expand(self.snapshot())
 
     # -- moving ----------------------------------------------------------------------------------------------------
 
@@ -179,45 +192,50 @@ class Plant:
                         command, gives no motor torque and reports so
         """
         wheels = self._wheels
-        wheels.receive(tau_rw_cmd_nm)
+        if tau_rw_cmd_nm != wheels.command_nm or not wheels.commanded:
+            wheels.receive(tau_rw_cmd_nm)
         if self._steps_per_tick == 1:
-            angle = self._advance()
-            self._tau_nm, self._tau_b_nm = wheels.torque_nm, wheels.torque_b_nm
+            self._turn = self._advance()
+            self._means = (wheels.torque_nm, wheels.torque_b_nm, self._ext_b_nm)
         else:
-            angle = self._advance_many()
-        k = 1.0 / self._tick_s
-        self._mean_rate = (angle[0] * k, angle[1] * k, angle[2] * k)
+            self._advance_many()
         self.tick += 1
 
     def _advance(self) -> Vec3:
         """Advance one integration step; return the angle turned through about each body axis [rad]."""
-        wheels, environment, q = self._wheels, self._environment, self._q_ib
-        step = self._step
-        wheels.drive(step)
-        if environment.is_constant:
-            torque = environment.constant_b_nm
-        else:  # at mid-step, second order in the step for torques that change slowly
-            torque = environment.sum_torques((step + 0.5) * self._seconds, _half_step(q, self._omega, self._seconds))
-        self._ext_b_nm = torque
+        wheels, step, speed = self._wheels, self._step, self._speed
+        a, b, c, d = speed
+        r = wheels.reach_rad_s
+        if step >= wheels.next_look or not (-r < a < r and -r < b < r and -r < c < r and -r < d < r):
+            wheels.drive(step, speed)
+        external = self._environment.constant_b_nm if self._environment.is_constant else self._find_external()
+        self._ext_b_nm = external
+        tau = wheels.torque_nm
         tx, ty, tz = wheels.torque_b_nm
         if self._gyroscopic:
-            self._q_ib, self._momentum, h, self._omega, angle = self._stepper(
-                q, self._momentum, wheels.h_b_nms, self._omega, (-tx, -ty, -tz), torque
+            self._q_ib, self._momentum, self._h_b, self._omega, angle, self._h_rw, self._speed = self._stepper(
+                self._q_ib, self._momentum, self._h_b, self._omega, (-tx, -ty, -tz), external, self._h_rw, tau
             )
         else:
-            torque = (torque[0] + tx, torque[1] + ty, torque[2] + tz)
-            self._q_ib, self._momentum, h, self._omega, angle = self._stepper(
-                q, self._momentum, NOTHING, self._omega, NOTHING, torque
+            x, y, z = external
+            self._q_ib, self._momentum, _, self._omega, angle, self._h_rw, self._speed = self._stepper(
+                self._q_ib, self._momentum, NOTHING, self._omega, NOTHING, (x + tx, y + ty, z + tz), self._h_rw, tau
             )
-            x, y, z = wheels.h_b_nms
+            x, y, z = self._h_b
             dt = self._seconds
-            h = (x - tx * dt, y - ty * dt, z - tz * dt)
-        wheels.spin(h, self._omega)
+            self._h_b = (x - tx * dt, y - ty * dt, z - tz * dt)
         self._step = step + 1
+        if not step & NORMALISE_MASK:
+            self._q_ib = normalise(self._q_ib)
         return angle
 
-    def _advance_many(self) -> Vec3:
-        """Advance all integration steps of a tick; return the angle about each body axis and keep the means."""
+    def _find_external(self) -> Vec3:
+        """Return the external torque at mid-step, which is second order in the step for torques that change slowly."""
+        q = _half_step(self._q_ib, self._omega, self._seconds)
+        return self._environment.sum_torques((self._step + 0.5) * self._seconds, q)
+
+    def _advance_many(self) -> None:
+        """Advance all integration steps of a tick; keep the angle about each body axis and the means."""
         wheels = self._wheels
         count = self._steps_per_tick
         ax = ay = az = ex = ey = ez = bx = by = bz = t1 = t2 = t3 = t4 = 0.0
@@ -230,10 +248,12 @@ class Plant:
             bx, by, bz = bx + x, by + y, bz + z
             a, b, c, d = wheels.torque_nm
             t1, t2, t3, t4 = t1 + a, t2 + b, t3 + c, t4 + d
-        self._ext_b_nm = (ex / count, ey / count, ez / count)
-        self._tau_b_nm = (bx / count, by / count, bz / count)
-        self._tau_nm = (t1 / count, t2 / count, t3 / count, t4 / count)
-        return (ax, ay, az)
+        self._turn = (ax, ay, az)
+        self._means = (
+            (t1 / count, t2 / count, t3 / count, t4 / count),
+            (bx / count, by / count, bz / count),
+            (ex / count, ey / count, ez / count),
+        )
 
     # -- faults ----------------------------------------------------------------------------------------------------
 
@@ -255,6 +275,10 @@ NOTHING: Vec3 = (0.0, 0.0, 0.0)
 
 def _add(a: Vec3, b: Vec3) -> Vec3:
     return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
+
+
+def _scale(a: Vec3, k: float) -> Vec3:
+    return (a[0] * k, a[1] * k, a[2] * k)
 
 
 def _symmetrise(m: Mat3) -> Mat3:

@@ -28,7 +28,7 @@ from bus.icd_codec import (
     encode_SYNC,
     encode_TIME,
 )
-from plant_server.plant import Plant, Samples
+from plant_server.plant import FaultEvent, Plant, Snapshot
 from plant_server.star_tracker import StarFrame
 
 FRAME = Struct("=IB3x8s")
@@ -37,6 +37,7 @@ COUNTER_PERIOD = 15
 COMMAND_IDS = {0x110: 0, 0x111: 1, 0x112: 2, 0x113: 3}
 CYCLE_DONE_ID, HEARTBEAT_FSW_ID = 0x081, 0x702
 GROUP_IDS = (*COMMAND_IDS, CYCLE_DONE_ID)  # the frames of every tick, in the order in which they come
+GROUP_SIZE = len(GROUP_IDS)
 WHEELS_SIZE = COMMANDS_SIZE - FRAME_SIZE  # of the group without CYCLE_DONE, which comes behind whatever else there is
 STATE_STOPPED, STATE_OPERATIONAL, STATE_PRE_OPERATIONAL, STATE_FAILED = 4, 5, 127, 128
 STAR_NOT_VALID = 15
@@ -67,17 +68,19 @@ class PlantServer:
         self.fsw_state = -1
         self.fsw_run_hash = -1
         self.done_tick = -1  # tick of the last CYCLE_DONE
-        self.samples: Samples | None = None
-        self.truth: tuple[float, ...] = ()  # at the time of the samples
+        self.events: tuple[FaultEvent, ...] = ()  # faults that took effect or ended since the last samples
+        self.snapshot: Snapshot = plant.snapshot()  # of the truth, at the time of the samples
         self._run_hash = run_hash
         self._heartbeat_ticks = max(1, round(HEARTBEAT_S / tick_s))
         self._tick_s = tick_s
         self._star_counter = 0
+        self._current_a = self._current_ma = (0.0, 0.0, 0.0, 0.0)  # of the last samples
         config = plant.config
         self._timeout_ticks = config.command_timeout_ticks
         self._max_age_ticks = config.command_max_age_ticks
         self._torques_nm = (0.0, 0.0, 0.0, 0.0)  # of the last command that each wheel took
-        self._torque_ticks = (NEVER, NEVER, NEVER, NEVER)  # ticks at which they were received
+        self._torque_ticks = (NEVER, NEVER, NEVER, NEVER)  # ticks at which they were received,
+        self._torques_tick = NEVER  # and that at which all four came at once
         self._delay: deque[Torques] = deque([NO_TORQUE] * config.command_latency_ticks)
         self.begin()
 
@@ -99,18 +102,22 @@ class PlantServer:
         tick = self.tick
         sync_cnt = tick & 0xFF
         counter = tick % COUNTER_PERIOD
-        self.samples = samples = self.plant.sample()
-        self.truth = self.plant.truth()
-        _, rate, gyro_status, gyro_silent, star, speed, current, wheel_status, wheel_silent, any_silent, _ = samples
-        a, b, c, d = current
-        current_ma = (a * 1e3, b * 1e3, c * 1e3, d * 1e3)
+        samples = self.plant.measure()
+        self.snapshot = self.plant.snapshot()
+        _, rate, gyro_status, gyro_silent, star, speed, current, wheel_status, wheel_silent, any_silent, events = (
+            samples
+        )
+        self.events = events
+        if current is not self._current_a:
+            a, b, c, d = self._current_a = current
+            self._current_ma = (a * 1e3, b * 1e3, c * 1e3, d * 1e3)
         extra = b"" if star is None else self._star_frames(star)
         if tick % self._heartbeat_ticks == 0:
             extra += self._slow_frames(tick)
         if wheel_status == WHEELS_OK and gyro_status == GYRO_OK and not any_silent:
-            batch = encode_sensors(counter, speed, current_ma, sync_cnt, rate, tick)
+            batch = encode_sensors(counter, speed, self._current_ma, sync_cnt, rate, tick)
             return batch[:-FRAME_SIZE] + extra + batch[-FRAME_SIZE:] if extra else batch
-        wheels = encode_rw_tlms(counter, wheel_status, speed, current_ma, sync_cnt)
+        wheels = encode_rw_tlms(counter, wheel_status, speed, self._current_ma, sync_cnt)
         fogs = encode_fogs(counter, gyro_status, rate, sync_cnt)
         if any_silent:
             wheels = _leave_out(wheels, wheel_silent)
@@ -133,37 +140,34 @@ class PlantServer:
 
         A batch that is just what a cycle sends is taken at once; whatever differs from that in one bit, frame by frame.
         """
-        if len(batch) == COMMANDS_SIZE:
-            if not self._accept_usual(batch):
-                self._accept_each(batch)
-        else:
+        between = b""
+        usual = batch
+        if len(batch) != COMMANDS_SIZE:
             between = batch[WHEELS_SIZE:-FRAME_SIZE]
-            if _is_apart(between) and self._accept_usual(batch[:WHEELS_SIZE] + batch[-FRAME_SIZE:]):
-                self._take(between)
-            else:
-                self._accept_each(batch)
-        return self.done_tick == self.tick
-
-    def _accept_usual(self, batch: bytes) -> bool:
-        """Take four torque commands of one age and CYCLE_DONE; False when the batch is not that."""
-        values = decode_commands(batch, self._group.expected)
+            if not _is_apart(between):
+                return self._accept_each(batch)
+            usual = batch[:WHEELS_SIZE] + batch[-FRAME_SIZE:]
+        values = decode_commands(usual, self._group.expected)
         if values is None:
-            return False
+            return self._accept_each(batch)
         a, b, c, d, sync_cnt, sync_b, sync_c, sync_d, done_tick = values
         tick = self.tick
         if (tick - sync_cnt) & 0xFF > self._max_age_ticks or not sync_cnt == sync_b == sync_c == sync_d:
-            return False
+            return self._accept_each(batch)
         self._group.accept()
-        self.counters.accepted += len(GROUP_IDS)
+        self.counters.accepted += GROUP_SIZE
         self._torques_nm = (a, b, c, d)
-        self._torque_ticks = (tick, tick, tick, tick)
+        self._torques_tick = tick
         self.done_tick = done_tick
-        return True
+        if between:
+            self._take(between)
+        return done_tick == tick
 
-    def _accept_each(self, batch: bytes) -> None:
+    def _accept_each(self, batch: bytes) -> bool:
         self._group.part()
         self._take(batch)
         self._group.join()
+        return self.done_tick == self.tick
 
     def _take(self, batch: bytes) -> None:
         counters = self.counters
@@ -197,23 +201,26 @@ class PlantServer:
 
     def advance(self) -> None:
         """Let the wheels act on their commands for one tick and move the truth to the next."""
-        oldest = self.tick - self._timeout_ticks
-        torques: Torques = self._torques_nm
-        a, b, c, d = self._torque_ticks
-        if not (a > oldest and b > oldest and c > oldest and d > oldest):
-            t1, t2, t3, t4 = torques
-            torques = (
-                t1 if a > oldest else None,
-                t2 if b > oldest else None,
-                t3 if c > oldest else None,
-                t4 if d > oldest else None,
-            )
-            self.counters.timeouts += torques.count(None)
+        torques: Torques = self._torques_nm if self._torques_tick == self.tick else self._hold_torques()
         if self._delay:
             self._delay.append(torques)
             torques = self._delay.popleft()
         self.plant.step(torques)
         self.tick += 1
+
+    def _hold_torques(self) -> Torques:
+        """Return the last commands of the wheels, None for a wheel whose last one is too long ago."""
+        oldest = self.tick - self._timeout_ticks
+        a, b, c, d = (max(tick, self._torques_tick) for tick in self._torque_ticks)
+        t1, t2, t3, t4 = self._torques_nm
+        torques = (
+            t1 if a > oldest else None,
+            t2 if b > oldest else None,
+            t3 if c > oldest else None,
+            t4 if d > oldest else None,
+        )
+        self.counters.timeouts += torques.count(None)
+        return torques
 
 
 def _is_apart(frames: bytes) -> bool:

@@ -28,7 +28,7 @@ class StarTracker:
 
     __slots__ = (
         "_boresight_b", "_chain", "_cos_exclusion", "_direction_i", "_draw", "_every", "_latency",
-        "_max_rate_squared", "_queue", "_sigma",
+        "_max_rate_squared", "_queue", "_sigma", "next_tick",
     )  # fmt: skip
 
     def __init__(self, config: StarTrackerConfig, timeline: FaultTimeline, dt_s: float, seed: int) -> None:
@@ -40,6 +40,7 @@ class StarTracker:
         self._draw = open_normals(seed, STAR_TRACKER)
         self._max_rate_squared = (config.max_rate_deg_s * DEG) ** 2
         self._queue: deque[tuple[int, StarFrame]] = deque()  # tick of delivery, frame
+        self.next_tick = 0  # before this one nothing is measured and nothing goes out
         exclusion = config.exclusion
         self._boresight_b = self._direction_i = (0.0, 0.0, 1.0)
         self._cos_exclusion = 2.0  # nothing is excluded
@@ -50,14 +51,20 @@ class StarTracker:
 
     def sample(self, tick: int, q_ib: Vec4, omega_bi_b_rad_s: Vec3, step: int, t_s: float) -> StarFrame | None:
         """Return the frame that goes out on this tick, None when none does."""
-        if tick % self._every == 0 and not self._drop_out(step, t_s):
+        every, queue = self._every, self._queue
+        answer = None
+        if tick % every == 0 and not self._drop_out(step, t_s):
             frame = self._measure(q_ib, omega_bi_b_rad_s)
             if self._latency == 0:
-                return frame
-            self._queue.append((tick + self._latency, frame))
-        if self._queue and self._queue[0][0] == tick:
-            return self._queue.popleft()[1]
-        return None
+                answer = frame
+            else:
+                queue.append((tick + self._latency, frame))
+        if queue and queue[0][0] == tick:
+            answer = queue.popleft()[1]
+        self.next_tick = tick - tick % every + every
+        if queue and queue[0][0] < self.next_tick:
+            self.next_tick = queue[0][0]
+        return answer
 
     def _measure(self, q_ib: Vec4, omega: Vec3) -> StarFrame:
         if self._sigma is not None:  # drawn for every frame, so that a blind spell shifts nothing

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bus.frames import FRAME_ID
-from bus.telemetry import Field, Link, TickPacker, Topic, announce_topics, pack_frames
+from bus.telemetry import Field, Link, Row, TickPacker, Topic, announce_topics, pack_frames_stamped, stamp
 from bus.transport import Transport
 from plant_server.plant import FaultEvent
 from plant_server.server import PlantServer
@@ -24,7 +24,7 @@ STAMPS = Topic(
 
 
 class PlantLog:
-    """Feeds one telemetry link, one write a tick.
+    """Feeds one telemetry link, a row a tick.
 
     stamped : the bus says when each frame was received; logged in a topic of its own, one record a frame
     """
@@ -37,7 +37,7 @@ class PlantLog:
         self._stamps = TickPacker([STAMPS], STAMPS_CHANNEL) if stamped else None
         self._arrivals: list[tuple[int, int, int]] = []  # of this tick: time, id, frames dropped so far
         packers = [self._packer] if self._stamps is None else [self._packer, self._stamps]
-        link.announce(announce_topics(packers, {FRAMES_CHANNEL: BUS_NAME}))
+        link.announce(announce_topics(packers, {FRAMES_CHANNEL: BUS_NAME}), self._pack_rows)
 
     def note_arrival(self, batch: bytes, transport: Transport) -> None:
         """Keep the kernel's stamps of the frames that the transport has just returned."""
@@ -52,16 +52,22 @@ class PlantLog:
         server = self._server
         tick = server.tick
         t_ns = tick * self._tick_ns
-        samples = server.samples
-        if samples is not None and samples.events:
-            for event in samples.events:
-                self._announce(event, tick, t_ns)
-        records = pack_frames(FRAMES_CHANNEL, tick, t_ns, frames) + self._packer.pack(tick, t_ns, *server.truth)
-        if self._stamps is not None and self._arrivals:
-            pack = self._stamps.pack
-            records += b"".join([pack(tick, t_ns, *arrival) for arrival in self._arrivals])
+        for event in server.events:
+            self._announce(event, tick, t_ns)
+        self.link.write_row((tick, t_ns, frames, server.snapshot, self._arrivals))
+        if self._arrivals:
             self._arrivals = []
-        self.link.write_tick(tick, t_ns, records)
+
+    def _pack_rows(self, rows: list[Row]) -> list[bytes]:
+        expand, pack, records = self._server.plant.expand, self._packer.pack_stamped, []
+        for tick, t_ns, frames, snapshot, arrivals in rows:
+            head = stamp(tick, t_ns)
+            data = pack_frames_stamped(FRAMES_CHANNEL, head, frames) + pack(head, expand(snapshot))
+            if arrivals and self._stamps is not None:
+                pack_stamp = self._stamps.pack_stamped
+                data += b"".join([pack_stamp(head, arrival) for arrival in arrivals])
+            records.append(data)
+        return records
 
     def _announce(self, event: FaultEvent, tick: int, t_ns: int) -> None:
         phase = "onset" if event.active else "end"

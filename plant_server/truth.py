@@ -23,5 +23,5 @@ def make_topics() -> tuple[Topic, ...]:
 
 
 def make_packer() -> TickPacker:
-    """Packs one tick of truth with a single call; values in the order of `Plant.truth()`."""
+    """Packs one tick of truth with a single call; values in the order of `Plant.expand()`."""
     return TickPacker(make_topics(), FIRST_CHANNEL)

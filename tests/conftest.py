@@ -1,12 +1,42 @@
-"""Settings of the property tests: the same examples on every CI run, fresh ones on a developer's machine."""
+"""What tests of several folders share: settings of the property tests, and CAN interfaces of the kernel.
+
+The same examples on every CI run, fresh ones on a developer's machine. Tests on real AF_CAN are skipped where there is
+none, and fail where HILSAT_REQUIRE_VCAN=1 says that the run was started for them.
+"""
 
 from __future__ import annotations
 
 import os
 
+import pytest
 from hypothesis import settings
+
+from bus.can_link import find_link, kernel_has_can
 
 # A loaded machine is no reason to fail, so no example has a deadline.
 settings.register_profile("fresh", deadline=None)
 settings.register_profile("same", deadline=None, derandomize=True)
 settings.load_profile("same" if os.environ.get("CI") else "fresh")
+
+
+def leave_out(reason: str) -> None:
+    """End this test for want of CAN."""
+    if os.environ.get("HILSAT_REQUIRE_VCAN") == "1":
+        pytest.fail(f"HILSAT_REQUIRE_VCAN=1, and {reason}")
+    pytest.skip(reason)
+
+
+@pytest.fixture(scope="session")
+def kernel_can() -> None:
+    """A kernel that opens raw CAN sockets."""
+    if not kernel_has_can():
+        leave_out("this kernel has no CAN; run `make test-vcan`")
+
+
+@pytest.fixture(scope="session")
+def vcan(kernel_can: None) -> None:
+    """The interfaces vcan0 and vcan1, up."""
+    for name in ("vcan0", "vcan1"):
+        link = find_link(name)
+        if link is None or not link.is_up:
+            leave_out(f"there is no {name} that is up; run `make test-vcan`")

@@ -16,13 +16,14 @@ from numpy.typing import NDArray
 from bus.errors import RecordError
 
 Ints = NDArray[np.int64]
+Words = NDArray[np.uint64]
 Pairs = NDArray[np.uint64]  # one row a message: log time [ns], offset
 
 HEAD: Final = struct.Struct("<BQHIQ")  # opcode, length, channel, sequence, log_time
 MESSAGE: Final = 0x05
 RECORD_HEAD: Final = 9  # opcode and length
-CONSTANT: Final = 11  # opcode, length, channel: what two ticks of one layout share
-TIME_AT: Final = 15
+SIZE_AT, CHANNEL_AT, TIME_AT = 0, 7, 15  # eight bytes each: opcode and length; its end, channel, sequence; log time
+CHANNEL_BITS: Final = np.uint64(0xFFFFFFFF)  # of the second: without the sequence
 DATA_AT: Final = 31
 FEW: Final = 4  # below this many alike, walking is quicker
 
@@ -63,12 +64,12 @@ def walk_messages(data: bytes, base: int = 0) -> tuple[MessageTable, int]:
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """What one tick looks like: its table, and which of its bytes are constant and which are log times."""
+    """What one tick looks like: its channels, where its records start, and what their heads begin with."""
 
-    table: MessageTable
     channels: tuple[int, ...]
-    columns: Ints
-    constant: bytes
+    offsets: Ints
+    sizes: Words
+    tails: Words
 
 
 class Located(NamedTuple):
@@ -110,17 +111,18 @@ class LayoutIndex:
         if layout is None:
             first = int(starts[0])
             layout = self._layouts[length] = _learn_layout(data[first : first + length])
-        table, alike = layout.table, len(starts)
-        count = len(table.channel)
-        taken = np.frombuffer(data, np.uint8)[starts[:, None] + layout.columns]
-        if taken[:, : count * CONSTANT].tobytes() != layout.constant * alike:
+        words = _view_words(data)
+        heads = starts + layout.offsets[:, None]
+        if (words[heads] != layout.sizes).any() or (words[heads + CHANNEL_AT] & CHANNEL_BITS != layout.tails).any():
             del self._layouts[length]
             return False
-        pairs = np.empty((count, alike, 2), "<u8")
-        pairs[:, :, 0] = np.ascontiguousarray(taken[:, count * CONSTANT :]).view("<u8").T
-        pairs[:, :, 1] = starts + table.offset[:, None]
-        found.setdefault(layout.channels, []).append(pairs)
+        found.setdefault(layout.channels, []).append(np.stack((words[heads + TIME_AT], heads.view("<u8")), axis=2))
         return True
+
+
+def _view_words(data: bytes) -> Words:
+    """The eight bytes from every byte of `data` on as a number each: an overlapping view, nothing is copied."""
+    return np.ndarray(len(data) - 7, "<u8", data, 0, (1,))
 
 
 def _merge(found: dict[tuple[int, ...], list[Pairs]]) -> Located:
@@ -157,7 +159,5 @@ def _walk_whole(part: bytes, start: int) -> MessageTable:
 
 def _learn_layout(part: bytes) -> Layout:
     table = _walk_whole(part, 0)
-    constant = (table.offset[:, None] + np.arange(CONSTANT)).ravel()
-    times = (table.offset[:, None] + TIME_AT + np.arange(8)).ravel()
-    fixed = np.frombuffer(part, np.uint8)[constant].tobytes()
-    return Layout(table, tuple(table.channel.tolist()), np.concatenate((constant, times)), fixed)
+    words, heads = _view_words(part), table.offset[:, None]
+    return Layout(tuple(table.channel.tolist()), table.offset, words[heads], words[heads + CHANNEL_AT] & CHANNEL_BITS)

@@ -80,7 +80,7 @@ class SourceStream:
             body = data[at + head : at + head + size]
             at += head + size
             if kind == TICK:
-                self._recorder.write_tick(source, tick, t_ns, body)
+                self._recorder.write_ticks(source, [tick], t_ns, [body])
             else:
                 self._take_other(kind, t_ns, body)
         self._buffer = data[at:]

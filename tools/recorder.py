@@ -6,8 +6,8 @@ real time it waits 0.3 s at most. Chunks close at 512 kB or 0.5 s of wall time, 
 
 from __future__ import annotations
 
-import bisect
 import contextlib
+import itertools
 import json
 import struct
 import time
@@ -15,6 +15,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
 
 from bus.errors import RecordError
 from bus.events import EVENTS, FAULTS, JSON_TOPICS, format_event
@@ -86,8 +89,9 @@ class Recorder:
         self._realtime = realtime
         self._clock = clock
         self._deadline = clock() + FLUSH_S
-        # Two lists instead of one of tuples: nothing here for the garbage collector to visit.
-        self._keys: list[int] = []  # tick << 8 | source: the order of the file
+        # Three lists instead of one of tuples: nothing here for the garbage collector to visit.
+        self._ticks: list[int] = []
+        self._origins: list[int] = []  # source of each
         self._held: list[bytes] = []
         self._held_bytes = 0
         self._limit_bytes = CHUNK_BYTES
@@ -118,16 +122,17 @@ class Recorder:
                 schema = (row["schema_name"], "ros2msg", row["schema"])
                 self._writer.add_channel(row["channel"], row["topic"], "cdr", schema, metadata)
 
-    def write_tick(self, source: int, tick: int, t_ns: int, records: bytes) -> None:
-        """Take the Message records of one tick of one source."""
+    def write_ticks(self, source: int, ticks: list[int], t_ns: int, records: list[bytes]) -> None:
+        """Take the Message records of some ticks of one source, t_ns being the time of the last."""
         state = self._sources[source]
-        state.last_tick = tick
+        state.last_tick = ticks[-1]
         state.last_t_ns = t_ns
-        self._keys.append(tick << 8 | source)
-        self._held.append(records)
-        self._held_bytes += len(records)
+        self._ticks += ticks
+        self._origins += [source] * len(ticks)
+        self._held += records
+        self._held_bytes += sum(map(len, records))
         if state.json_waiting:
-            self._file_json(source, state, tick)
+            self._file_json(source, state, ticks[0])
         if self._held_bytes >= self._limit_bytes or self._clock() >= self._deadline:
             self.flush()
 
@@ -153,17 +158,16 @@ class Recorder:
         self._deadline = now + FLUSH_S
         if not self._held:
             return
-        keys = sorted(self._keys)
-        if keys != self._keys:
-            order = sorted(range(len(keys)), key=self._keys.__getitem__)  # stable: arrivals of one key keep their order
-            self._held = [self._held[index] for index in order]
-            self._keys = keys
-        count = self._count_complete(now)
+        keys = np.array(self._ticks) << 8 | np.array(self._origins)  # the order of the file
+        order = np.argsort(keys, kind="stable")  # arrivals of one key keep theirs
+        count = self._count_complete(keys[order], now)
         if count:
+            places, rest = order[:count].tolist(), order[count:].tolist()
             with self._writing():
-                self._write_out(self._held[:count])
-            del self._held[:count]
-            del self._keys[:count]
+                self._write_out([self._held[place] for place in places])
+            self._ticks, self._origins, self._held = (
+                [column[place] for place in rest] for column in (self._ticks, self._origins, self._held)
+            )
             self._held_bytes = sum(map(len, self._held))
         self._limit_bytes = self._held_bytes + CHUNK_BYTES
 
@@ -175,11 +179,11 @@ class Recorder:
         self.flush()
         return FLUSH_S
 
-    def _count_complete(self, now: float) -> int:
-        """How many held entries nothing can be filed before any more."""
+    def _count_complete(self, keys: NDArray[np.int64], now: float) -> int:
+        """How many held entries nothing can be filed before any more, of all by key, rising."""
         heads = [state.last_tick for state in self._sources.values() if state.open]
         if not heads:
-            return len(self._held)
+            return len(keys)
         horizon = min(heads)
         if self._realtime:
             newest, since = self._mark
@@ -188,22 +192,15 @@ class Recorder:
                 self._mark = (max(heads), now)
             if max(heads) > horizon:
                 self._deadline = min(self._deadline, now + PATIENCE_S)
-        return bisect.bisect_left(self._keys, (horizon + 1) << 8)
+        return int(np.searchsorted(keys, (horizon + 1) << 8))
 
     def _write_out(self, parts: list[bytes]) -> None:
         """Write chunks of about CHUNK_BYTES, without a small one at the end."""
-        total = sum(map(len, parts))
-        target = total / max(1, total // CHUNK_BYTES)
-        batch: list[bytes] = []
-        size = 0
-        for part in parts:
-            batch.append(part)
-            size += len(part)
-            if size >= target:
-                self._writer.write_chunk(batch)
-                batch, size = [], 0
-        if batch:
-            self._writer.write_chunk(batch)
+        ends = np.cumsum(np.fromiter(map(len, parts), np.int64, len(parts)))
+        pieces = max(1, int(ends[-1]) // CHUNK_BYTES)
+        cuts = np.searchsorted(ends, ends[-1] * np.arange(1, pieces) / pieces) + 1
+        for start, end in itertools.pairwise((0, *cuts.tolist(), len(parts))):
+            self._writer.write_chunk(parts[start:end])
 
     def _file_json(self, source: int, state: _Source, tick: int) -> None:
         """File the waiting JSON objects at a tick of the source, behind what it has there already."""
@@ -211,7 +208,8 @@ class Recorder:
             self._declare_json(topic)
             channel = JSON_TOPICS[topic].channel
             record = MESSAGE.pack(5, 22 + len(payload), channel, tick & 0xFFFFFFFF, t_ns, t_ns) + payload
-            self._keys.append(tick << 8 | source)
+            self._ticks.append(tick)
+            self._origins.append(source)
             self._held.append(record)
             self._held_bytes += len(record)
         state.json_waiting.clear()

@@ -11,6 +11,7 @@ import json
 import os
 import select
 import signal
+import subprocess
 import sys
 import tempfile
 import time
@@ -27,6 +28,7 @@ from tools.provenance import describe_run, list_attachments
 POLL_S = 0.1
 END_POLL_S = 0.005
 GRACE_S = 6.0  # after one process ended, how long the others may take to notice by themselves
+RECORDER_PATIENCE_S = 10.0  # how long the recorder may take to finish the file once both sides have ended
 STILL_S = 12.0  # without progress, everything is taken to hang
 
 
@@ -84,28 +86,33 @@ class _Supervisor:
         self._started_s = time.monotonic()
         self._last_progress_s = self._started_s
         self._buffer = b""
+        self._sides: list[Process] = []  # plant, then flight software
+        self._recorders: list[Process] = []  # one, once it has started
 
     def run(self) -> RunReport:
         progress_in, progress_out = make_pipe()
-        processes: list[Process] = []
         try:
-            processes = self._start(progress_out)
-            os.close(progress_out)
-            self._watch(processes, progress_in)
+            try:
+                self._start(progress_out)
+            finally:
+                os.close(progress_out)
+            self._watch(progress_in)
         except Interrupted as interruption:
             number = int(interruption.args[0])
             self._report.exit_code = 128 + number
             self._report.problems.append(f"interrupted by {signal.Signals(number).name}; the log is closed properly")
+        except OSError as error:  # no process, no descriptor, no room on the disk: nothing has flown
+            self._report.problems.append(f"cannot start the run: {error}; free some of it and start again")
         finally:
-            self._end(processes)
-            self._read_progress(progress_in, processes)  # the last words of the two sides
+            self._end()
+            self._read_progress(progress_in)  # the last words of the two sides
             os.close(progress_in)
         self._report.wall_s = time.monotonic() - self._started_s
         return self._report
 
     # -- starting --------------------------------------------------------------------------------------------------
 
-    def _start(self, progress_out: int) -> list[Process]:
+    def _start(self, progress_out: int) -> None:
         plant_in, plant_out = make_pipe()
         fsw_in, fsw_out = make_pipe()
         plant_file, fsw_file, meta_file = (self._out / name for name in ("plant.json", "fsw.json", "meta.json"))
@@ -114,36 +121,36 @@ class _Supervisor:
         meta_file.write_text(json.dumps(describe(self._resolved, self._address)))
         out = self._out
         try:
-            recorder = start(
+            self._recorders.append(start(
                 "recorder", "tools.record",
                 ["--out", str(self._report.log), "--meta", str(meta_file), "--source", f"1:{plant_in}",
                  "--source", f"2:{fsw_in}"],
                 [plant_in, fsw_in], out / "recorder.err", orphan=True,
-            )  # fmt: skip
-            plant_process = start(
+            ))  # fmt: skip
+            self._sides.append(start(
                 "plant", "plant_server",
                 ["--config", str(plant_file), "--telemetry-fd", str(plant_out), "--progress-fd", str(progress_out)],
                 [plant_out, progress_out], out / "plant.err",
-            )  # fmt: skip
-            fsw = start(
+            ))  # fmt: skip
+            self._sides.append(start(
                 "flight software", "fsw",
                 ["--config", str(fsw_file), "--telemetry-fd", str(fsw_out), "--progress-fd", str(progress_out)],
                 [fsw_out, progress_out], out / "fsw.err",
-            )  # fmt: skip
+            ))  # fmt: skip
         finally:
             for fd in (plant_in, plant_out, fsw_in, fsw_out):
                 os.close(fd)
         if self._resolved.scenario.clock.mode == "lockstep":
-            share_processor(plant_process, fsw)
-        return [plant_process, fsw, recorder]
+            share_processor(*self._sides)
 
     # -- watching --------------------------------------------------------------------------------------------------
 
-    def _watch(self, processes: list[Process], progress_in: int) -> None:
-        plant = processes[0]
+    def _watch(self, progress_in: int) -> None:
+        plant = self._sides[0]
+        processes = [*self._sides, *self._recorders]
         ended_s: float | None = None
         while any(process.code is None for process in processes):
-            self._read_progress(progress_in, processes)
+            self._read_progress(progress_in)
             now_s = time.monotonic()
             bad = [process for process in processes if process.code not in (None, 0)]
             if bad or plant.code == 0:
@@ -155,7 +162,7 @@ class _Supervisor:
                 break
         self._judge(processes)
 
-    def _read_progress(self, fd: int, processes: list[Process]) -> None:
+    def _read_progress(self, fd: int) -> None:
         if not select.select([fd], [], [], POLL_S)[0]:
             return
         data = os.read(fd, 65536)
@@ -171,18 +178,18 @@ class _Supervisor:
             if "tick" in what:
                 self._report.ticks = what["tick"]
                 self._on_progress(what["tick"])
-                self._report.memory_mb = {p.name: memory_mb(p) for p in processes}
+                self._report.memory_mb = {p.name: memory_mb(p) for p in (*self._sides, *self._recorders)}
             else:
                 self._report.details |= what
 
     def _judge(self, processes: list[Process]) -> None:
-        """Say who failed. A process that was killed, or that speaks of itself, is more telling than one left alone."""
+        """Say who failed, the most telling first: who was killed or hangs, then the recorder, whose end ends the others."""
         report = self._report
         if all(process.code == 0 for process in processes):
             report.exit_code = 0
             report.ticks = self._resolved.ticks
             return
-        bad = [process for process in processes if process.code != 0]
+        bad = [process for process in (*self._recorders, *self._sides) if process.code != 0]
         bad.sort(key=lambda process: (process.code is not None, process.code if process.code is not None else 0))
         for process in bad:
             report.problems.append(process.words() or f"{process.fate()} at about tick {report.ticks}")
@@ -190,23 +197,19 @@ class _Supervisor:
                 report.problems[-1] = f"{process.fate()} at about tick {report.ticks}"
         report.exit_code = 2 if any(process.code == 2 for process in bad) else 3
 
-    def _end(self, processes: list[Process]) -> None:
+    def _end(self) -> None:
         """First the two sides, so that the recorder sees its pipes close and finishes the file."""
-        if not processes:
-            return
-        stop(processes[:2])
-        self._finish(processes[2])
+        stop(self._sides)
+        for recorder in self._recorders:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                recorder.popen.wait(RECORDER_PATIENCE_S)
+        stop(self._recorders)
         for name in ("plant", "fsw", "recorder"):
             path = self._out / f"{name}.err"
             if path.exists() and not path.stat().st_size:
                 path.unlink()
         for name in ("plant.json", "fsw.json", "meta.json"):
             (self._out / name).unlink(missing_ok=True)
-
-    def _finish(self, recorder: Process) -> None:
-        with contextlib.suppress(Exception):
-            recorder.popen.wait(10.0)
-        stop([recorder])
 
 
 def describe(resolved: Resolved, address: str) -> dict[str, Any]:

@@ -29,6 +29,5 @@ class NoDetector:
 
     def step(self, sensors: Sensors, estimate: Estimate, tau_rw_cmd_nm: Vec4) -> Detection:
         """Return the estimate unchanged."""
-        valid = sensors.gyro_valid
-        rate_good = valid[0] and valid[1] and valid[2]
+        rate_good = False not in sensors.gyro_valid
         return tuple.__new__(Detection, (estimate, ZERO, (0, 0, 0), NO_WHEEL_ALARM, ZERO, False, rate_good))

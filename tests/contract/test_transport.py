@@ -20,7 +20,6 @@ from typing import Any
 
 import pytest
 
-from bus.can_link import find_link, kernel_has_can
 from bus.errors import BusInUseError, BusLostError
 from bus.frames import EFF_FLAG, ERR_FLAG, FRAME, FRAME_SIZE, RTR_FLAG
 from bus.hub import serve
@@ -149,22 +148,13 @@ def start_hub(directory: Path, stack: contextlib.ExitStack) -> Callable[[], None
     return end
 
 
-def require_vcan() -> None:
-    link = find_link("vcan0") if kernel_has_can() else None
-    if link is None or not link.is_up:
-        reason = "there is no vcan0 that is up; run `make test-vcan`"
-        if os.environ.get("HILSAT_REQUIRE_VCAN") == "1":
-            pytest.fail(f"HILSAT_REQUIRE_VCAN=1, and {reason}")
-        pytest.skip(reason)
-
-
 @pytest.fixture
 def rig(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Rig]:
     kind = request.param
     with contextlib.ExitStack() as stack:
         name = f"contract-{os.getpid()}-{next(_serial)}"
         if kind == "socketcan":
-            require_vcan()
+            request.getfixturevalue("vcan")
         address = {
             "memory": f"memory:{name}",
             "hub-host": f"hub:{tmp_path}/bus",

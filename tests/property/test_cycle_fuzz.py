@@ -13,8 +13,10 @@ from hypothesis import strategies as st
 
 from bus.icd_codec import DECODERS, encode_fogs, encode_rw_tlms, encode_STR_QA, encode_STR_QB, encode_SYNC
 from bus.settings import build
+from bus.telemetry import TelemetryLink
 from fsw.config import FswConfig
 from fsw.flight import Flight
+from fsw.flight_log import FlightLog
 
 FRAME = Struct("=IB3x8s")
 TICK_S = 0.1
@@ -76,9 +78,10 @@ def test_random_bytes_never_raise_and_never_reach_a_control_output(
 def test_a_cycle_survives_nothing_but_junk(batches: list[list[tuple[int, bytes]]]) -> None:
     """With no good frame at all the flight software stays in standby or safe mode and commands no torque."""
     flight = Flight(CONFIG, TICK_S, 1)
+    log = FlightLog(flight, TelemetryLink(None, 2, blocking=False), 1)
     for tick, junk in enumerate(batches):
         flight.cycle(tick, pack([(i, d) for i, d in junk if is_bad(i, d)]))
-        flight.publish(tick, 0)
+        assert len(log.pack_rows([flight.publish(tick, 0, 0)])) == 1
         assert flight.tau_rw_cmd_nm == (0.0, 0.0, 0.0, 0.0)
 
 

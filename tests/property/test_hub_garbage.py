@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bus.frames import ERR_FLAG, FRAME, FRAME_SIZE, FrameFilter, FrameKind, classify_frame, drop_malformed
+from bus.frames import ERR_FLAG, FRAME, FRAME_SIZE, FrameFilter, drop_malformed
 from bus.hub_host import HubHost
 from bus.hub_wire import MARK, MAX_DATAGRAM, pack_control, read_filters, unpack_control
 
@@ -151,13 +151,3 @@ def test_filters_follow_the_kernels_definition(batch: list[bytes], rules: list[t
     accepted = FrameFilter(rules)
     assert accepted.select(b"".join(batch)) == expected
     assert accepted.select(b"".join(batch)) == expected  # with all ids known
-
-
-@given(can_id=st.integers(0, 0xFFFFFFFF), dlc=st.integers(0, 255))
-def test_every_frame_has_one_kind_and_ours_are_plain(can_id: int, dlc: int) -> None:
-    """Only an 11-bit id without any flag and a dlc of at most 8 can be ours; flags are read as linux/can.h has them."""
-    kind = classify_frame(can_id, dlc)
-    assert (kind is FrameKind.DATA) == (can_id < 0x800 and dlc <= 8)
-    assert (kind is FrameKind.ERROR) == (dlc <= 8 and can_id >> 29 & 1 == 1)
-    assert (kind is FrameKind.REMOTE) == (dlc <= 8 and can_id >> 29 & 3 == 2)
-    assert (kind is FrameKind.EXTENDED) == (dlc <= 8 and can_id >> 29 == 4)

@@ -234,3 +234,23 @@ def test_commands_are_encoded_as_one_by_one(
     """The same for what the flight software sends."""
     expected = encode_rw_cmds(counter, 1, torque, sync_cnt) + encode_CYCLE_DONE(counter, mode, tick, slips)
     assert encode_commands(counter, torque, sync_cnt, mode, tick, slips) == expected
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.lists(fours, min_size=1, max_size=3), st.lists(st.integers(0, 2), min_size=2, max_size=8))
+def test_values_kept_from_the_last_call_are_the_right_ones(
+    pool: list[tuple[float, float, float, float]], choices: list[int]
+) -> None:
+    """The same tuple again, an equal one and others in any order: what was rounded before is used for its own tuple only."""
+    pool = [*pool, (*pool[0],)]
+    for tick, choice in enumerate(choices):
+        values = pool[choice % len(pool)]
+        assert encode_commands(tick % 15, values, tick, 2, tick, 0) == (
+            encode_rw_cmds(tick % 15, 1, values, tick) + encode_CYCLE_DONE(tick % 15, 2, tick, 0)
+        )
+        speed, rate = (1.0, 2.0, 3.0, 4.0), (0.1, 0.2, 0.3)
+        assert encode_sensors(tick % 15, speed, values, tick, rate, tick) == (
+            encode_rw_tlms(tick % 15, (0, 0, 0, 0), speed, values, tick)
+            + encode_fogs(tick % 15, (0, 0, 0), rate, tick)
+            + encode_SYNC(tick % 15, 0, tick)
+        )

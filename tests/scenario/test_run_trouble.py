@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import signal
@@ -14,7 +15,10 @@ from pathlib import Path
 
 import pytest
 
+from tools import processes, runner
+from tools.config.loader import load_scenario
 from tools.mcap_reader import read_run
+from tools.scenario_files import find_scenario
 
 LONG = ["--set", "duration_s=3000", "--set", "expect=[]", "--no-plot", "--json", "-q"]
 MODULES = {"plant": "plant_server", "fsw": "fsw", "recorder": "tools.record"}
@@ -107,3 +111,26 @@ def test_a_killed_runner_leaves_no_process_behind(live_run: LiveRun) -> None:
         time.sleep(0.05)
     assert not [pid for pid in children if Path(f"/proc/{pid}").exists()]
     assert live_run.log.read_bytes().endswith(b"\x89MCAP0\r\n")
+
+
+@pytest.mark.parametrize("victim", ["plant", "flight software"])
+def test_a_process_that_cannot_be_started_ends_the_run(
+    victim: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The system has no more processes: exit code 3 and its words; what had started has ended, nothing is left open."""
+    started = []
+
+    def start(name: str, *args: object, **options: object) -> processes.Process:
+        if name == victim:
+            raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN), sys.executable)
+        started.append(processes.start(name, *args, **options))  # type: ignore[arg-type]
+        return started[-1]
+
+    monkeypatch.setattr(runner, "start", start)
+    descriptors = len(os.listdir("/proc/self/fd"))
+    report = runner.run_processes(load_scenario(find_scenario("zhang2018"), []), tmp_path, lambda tick: None)
+    assert report.exit_code == 3
+    assert "cannot start the run: [Errno 11] Resource temporarily unavailable" in report.problems[0]
+    assert started
+    assert all(process.code is not None for process in started)
+    assert len(os.listdir("/proc/self/fd")) == descriptors

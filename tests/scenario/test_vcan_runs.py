@@ -26,7 +26,6 @@ import numpy as np
 import pytest
 
 import tools
-from bus.can_link import find_link, kernel_has_can
 from bus.errors import BusAddressError
 from bus.frames import EFF_FLAG, ERR_FLAG, FRAME, RTR_FLAG
 from bus.icd_codec import encode_HEARTBEAT_PLANT
@@ -45,18 +44,6 @@ CAN_MTU, CANFD_MTU = 16, 72
 OUR_IDS = (0x080, 0x081, 0x110, 0x113, 0x190, 0x1A0, 0x1B0, 0x1B1, 0x701, 0x702)
 LONG = ["zhang2018-flight", "--duration", "3000", *QUICK, "--bus"]
 RUN_LIMIT_S = 120
-
-
-@pytest.fixture
-def vcan() -> None:
-    """Both interfaces, up; a failure where a run was started to test them."""
-    for name in ("vcan0", "vcan1"):
-        link = find_link(name) if kernel_has_can() else None
-        if link is None or not link.is_up:
-            reason = f"there is no {name} that is up; run `make test-vcan`"
-            if os.environ.get("HILSAT_REQUIRE_VCAN") == "1":
-                pytest.fail(f"HILSAT_REQUIRE_VCAN=1, and {reason}")
-            pytest.skip(reason)
 
 
 on_vcan = [pytest.mark.vcan, pytest.mark.usefixtures("vcan")]

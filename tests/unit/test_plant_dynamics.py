@@ -17,6 +17,7 @@ from plant_server.plant import TRUTH_FIELDS, Plant
 DATA = Path(__file__).parent.parent / "data"
 J = ((45.0, 3.0, 2.0), (3.0, 38.0, -1.5), (2.0, -1.5, 50.0))
 ZERO = (0.0, 0.0, 0.0)
+NO_TORQUE = (0.0, 0.0, 0.0, 0.0)
 IDENTITY = (1.0, 0.0, 0.0, 0.0)
 MOUNTS = ("x", "y", "z", "skew")
 MISALIGNED = ((10.0, 12.0), (8.0, 15.0), (5.0, 8.0), (6.0, 10.0))
@@ -46,7 +47,7 @@ def tumble(inertia, omega, dt_s, steps):
     q, momentum, angle = IDENTITY, multiply_matrix(inertia, omega), np.zeros(3)
     history = [(q, omega, angle.copy())]
     for _ in range(steps):
-        q, momentum, _, omega, turned = step(q, momentum, ZERO, omega, ZERO, ZERO)
+        q, momentum, _, omega, turned, _, _ = step(q, momentum, ZERO, omega, ZERO, ZERO, IDENTITY, NO_TORQUE)
         angle += turned
         history.append((q, omega, angle.copy()))
     return history

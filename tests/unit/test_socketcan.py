@@ -18,7 +18,7 @@ from pathlib import Path
 
 import pytest
 
-from bus.can_link import ask_bitrate_bps, find_link, kernel_has_can, list_can_links
+from bus.can_link import ask_bitrate_bps, find_link, list_can_links
 from bus.errors import BusAddressError, BusInUseError, BusLostError
 from bus.frames import FRAME
 from bus.socketcan import CAN_RAW_FD_FRAMES, SOL_CAN_RAW, SocketCanTransport
@@ -46,12 +46,8 @@ def ip(*words: str) -> None:
 
 
 @pytest.fixture
-def interface() -> Iterator[str]:
+def interface(kernel_can: None) -> Iterator[str]:
     """A vcan interface of this test's own, up."""
-    if not kernel_has_can():
-        if os.environ.get("HILSAT_REQUIRE_VCAN") == "1":
-            pytest.fail("HILSAT_REQUIRE_VCAN=1, and this kernel has no CAN")
-        pytest.skip("this kernel has no CAN; run `make test-vcan`")
     name = f"vt{os.getpid() % 100_000}"
     ip("link", "add", "dev", name, "type", "vcan")
     try:

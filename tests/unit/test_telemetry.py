@@ -22,6 +22,9 @@ from bus.telemetry import (
     MAGIC,
     TICK,
     Field,
+    Link,
+    MemoryLink,
+    Row,
     TelemetryLink,
     TickPacker,
     Topic,
@@ -208,41 +211,50 @@ def test_a_stuck_recorder_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     link = TelemetryLink(into, 1, blocking=True)
     fcntl.fcntl(into, fcntl.F_SETPIPE_SZ, 4096)
     link.write_tick(0, 0, bytes(4096 - HEADER.size))
-    link.flush()
-    link.write_tick(1, 0, bytes(4096 - HEADER.size))
     with pytest.raises(RecordError, match=r"tick 1: the recorder took nothing for 0\.2 s"):
-        link.flush()
+        link.write_tick(1, 0, bytes(4096 - HEADER.size))
     assert not select.select([], [into], [], 0)[1]
     os.close(out)
     link.close()  # must not raise: the stall has been reported
 
 
 @pytest.mark.parametrize("blocking", [True, False])
-def test_a_dead_recorder_is_named(blocking: bool) -> None:
+@pytest.mark.parametrize("as_row", [True, False])
+def test_a_dead_recorder_is_named(blocking: bool, as_row: bool) -> None:
     """In both modes the first write after its death says so; the goodbye does not hide an error under way."""
     out, into = os.pipe()
     link = TelemetryLink(into, 1, blocking)
-    link.write_tick(0, 0, b"x")
-    link.flush()
-    os.close(out)
+    link.announce(b"[]", pack_last)
 
-    def write() -> None:
-        link.write_tick(1, 0, b"x")
+    def write(tick: int) -> None:
+        if as_row:
+            link.write_row((tick, 0, b"x"))
+        else:
+            link.write_tick(tick, 0, b"x")
         link.flush()
 
+    write(0)
+    os.close(out)
     with pytest.raises(RecordError, match="tick 1: the recorder died"):
-        write()
+        write(1)
     link.close()
 
 
+def pack_last(rows: list[Row]) -> list[bytes]:
+    """Rows that carry their records ready made, behind tick and time."""
+    return [row[-1] for row in rows]
+
+
 def test_a_lock_step_process_holds_back_little_and_briefly(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Ticks are written together once they fill the room or the first of them is old enough, or at `flush`."""
+    """Rows are packed and written together once there are 64 or the first of them is 50 ms old, or at `flush`."""
     now_s = [0.0]
     monkeypatch.setattr(telemetry.time, "monotonic", lambda: now_s[0])
     out, into = os.pipe()
     os.set_blocking(out, False)
     link = TelemetryLink(into, 1, blocking=True)
-    size = HEADER.size + 1000
+    link.announce(b"[]", pack_last)
+    os.read(out, 1 << 16)
+    size = HEADER.size + 100
 
     def written() -> int:
         try:
@@ -251,29 +263,77 @@ def test_a_lock_step_process_holds_back_little_and_briefly(monkeypatch: pytest.M
             return 0
 
     counts = []
-    for tick in range(40):
-        link.write_tick(tick, tick, bytes(1000))
+    for tick in range(70):
+        link.write_row((tick, tick, bytes(100)))
         counts.append(written())
-    assert max(counts) == 33  # 32 KiB are full with the 33rd
-    assert sum(counts) == 33
+    assert max(counts) == counts[63] == sum(counts) == telemetry.HOLD_TICKS == 64
     now_s[0] = 0.049
-    link.write_tick(40, 40, bytes(1000))
+    link.write_row((70, 70, bytes(100)))
     assert written() == 0
     now_s[0] = 0.051
-    link.write_tick(41, 41, bytes(1000))
-    assert written() == 9
-    link.write_tick(42, 42, bytes(1000))
+    link.write_row((71, 71, bytes(100)))
+    assert written() == 8
+    link.write_row((72, 72, bytes(100)))
     link.flush()
     assert written() == 1
     link.close()
     os.close(out)
 
 
+def test_a_real_time_process_writes_every_row_at_once() -> None:
+    """Nothing is held back where a later write would be a stall."""
+    out, into = os.pipe()
+    link = TelemetryLink(into, 1, blocking=False)
+    link.announce(b"[]", pack_last)
+    os.read(out, 1 << 16)
+    for tick in range(3):
+        link.write_row((tick, tick, b"abc"))
+        assert os.read(out, 1 << 16)[HEADER.size :] == b"abc"
+    link.close()
+    os.close(out)
+
+
+@pytest.mark.parametrize("kind", ["pipe", "memory"])
+def test_what_is_held_back_goes_ahead_of_an_event(kind: str) -> None:
+    """Rows, an event, a row: they arrive in that order, whoever takes them, and at the goodbye nothing is left."""
+    said: list[object] = []
+
+    class Sink:
+        def announce(self, source: int, topics_json: bytes) -> None: ...
+
+        def write_ticks(self, source: int, ticks: list[int], t_ns: int, records: list[bytes]) -> None:
+            said.extend(zip(ticks, records, strict=True))
+            assert t_ns == 10 * ticks[-1]
+
+        def write_json(self, source: int, topic: str, t_ns: int, payload: bytes) -> None:
+            said.append(topic)
+
+        def end_source(self, source: int, reason: str, dropped: int) -> None: ...
+
+    out, into = os.pipe()
+    link: Link = MemoryLink(Sink(), 1) if kind == "memory" else TelemetryLink(into, 1, blocking=True)
+    link.announce(b"[]", pack_last)
+    link.write_row((0, 0, b"a"))
+    link.write_row((1, 10, b"b"))
+    link.event(20, "info", "test", "between")
+    link.write_row((2, 20, b"c"))
+    link.close("done")
+    if kind == "pipe":
+        for piece, _, tick, _, body in read_pieces(out)[1:-1]:
+            said.append((tick, body) if piece == TICK else body.partition(b"\0")[0].decode())
+    else:
+        os.close(into)
+    os.close(out)
+    assert said == [(0, b"a"), (1, b"b"), "/events", (2, b"c")]
+
+
 def test_without_a_pipe_nothing_happens() -> None:
     """`None` is a link that swallows everything."""
     link = TelemetryLink(None, 1, blocking=True)
-    link.announce(b"[]")
+    link.announce(b"[]", pack_last)
     link.write_tick(0, 0, b"x")
+    link.write_row((1, 0, b"x"))
+    link.flush()
     link.fault(0, 0, "rw1", "loss", "onset", 0.5)
     link.transform(0, "inertial", "body", (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
     link.close("done")

@@ -13,7 +13,7 @@ from tools.inprocess import Bench
 from tools.scenario_files import find_scenario
 
 LIMITS_DEG = (5.0, 1.0, 0.1, 0.01)
-ERROR_DEG = 7  # place of error_deg in Plant.truth(), see TRUTH_FIELDS
+ERROR_DEG = 7  # place of error_deg in Plant.expand(), see TRUTH_FIELDS
 FAULT_TORQUE = slice(26, 29)  # place of tau_fault_b_nm
 LAGGING = "[" + ", ".join(
     f"{{mount: {mount}, tilt_deg: {tilt}, clock_deg: {clock}, max_torque_nm: 0.1, torque_lag_s: 0.1}}"
@@ -42,7 +42,8 @@ def measure(scenario: str, overrides: list[str]) -> tuple[list[float | None], fl
     errors, torque_errors = [], []
     for _ in range(resolved.ticks):
         bench.run(1)
-        truth = bench.server.truth
+        server = bench.server
+        truth = server.plant.expand(server.snapshot)
         errors.append(truth[ERROR_DEG])
         torque_errors.append(np.subtract(bench.flight.tau_fault_hat_b_nm, truth[FAULT_TORQUE]))
     error = np.array(errors)

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from mcap.writer import CompressionType, Writer
 
-from bus.telemetry import Field, Link, TickPacker, Topic, pack_frames
+from bus.telemetry import Field, Link, PackRows, Row, TickPacker, Topic, pack_frames
 from tools import mcap_writer
 from tools.config.loader import load_scenario
 from tools.inprocess import Bench
@@ -34,13 +34,15 @@ class KeepingLink(Link):
     """Keeps what a side says."""
 
     def __init__(self, source: int, kept: list[Tick], tables: dict[int, bytes]) -> None:
+        super().__init__(hold_ticks=1)
         self._source, self._kept, self._tables = source, kept, tables
 
-    def announce(self, topics_json: bytes) -> None:
+    def announce(self, topics_json: bytes, pack_rows: PackRows | None = None) -> None:
+        super().announce(topics_json, pack_rows)
         self._tables[self._source] = topics_json
 
-    def write_tick(self, tick: int, t_ns: int, records: bytes) -> None:
-        self._kept.append((self._source, tick, t_ns, records))
+    def _write_ticks(self, rows: list[Row], records: list[bytes]) -> None:
+        self._kept += [(self._source, *row[:2], data) for row, data in zip(rows, records, strict=True)]
 
     def write_json(self, topic: str, t_ns: int, payload: bytes) -> None:
         pass
