@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
 
@@ -118,6 +118,8 @@ def test_a_broken_text_is_a_scenario_or_explained(data: st.DataObject) -> None:
 
 @settings(max_examples=100, deadline=None)
 @given(st.text(max_size=30), st.text(max_size=20))
+@example("\u00b9", "1")  # a digit that is no number
+@example("a[" + "9" * 5000 + "]", "1")  # more digits than Python takes for one
 def test_any_override_is_taken_or_explained(key: str, value: str) -> None:
     for word in (f"{key}={value}", f"plant.{key}={value}", f"faults[0].kind={value}", f"title={value}"):
         examination = examine_text(TEXTS[0], NAME, [word])

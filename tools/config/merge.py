@@ -15,7 +15,7 @@ MAX_BYTES = 4 * 1024 * 1024  # a scenario is a page or two; this is somebody's l
 # A mapping whose tag changes is another thing: its other keys do not carry over. (All kinds of fault share theirs.)
 TAGS = ("kind", "check")
 
-_KEY = re.compile(r"\.?([^.\[\]=]+)|\[(\d+)\]")
+_KEY = re.compile(r"\.?(?:([0-9]{1,9})(?![^.\[\]=])|([^.\[\]=]+))|\[([0-9]{1,9})\]")  # an index, a word, [an index]
 
 
 class Merger:
@@ -162,8 +162,8 @@ def parse_key(text: str) -> KeyPath | None:
         match = _KEY.match(text, at)
         if match is None or (at == 0 and text[0] in ".["):
             return None
-        word, index = match.groups()
-        path.append(int(index) if index is not None else int(word) if word.isdigit() else word)
+        number, word, index = match.groups()
+        path.append(word if word is not None else int(number or index))
         at = match.end()
     return tuple(path) or None
 
