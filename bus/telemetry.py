@@ -30,9 +30,8 @@ from bus.events import EVENTS, FAULTS, TF, format_event, format_fault, format_tr
 from bus.units import Vec3, Vec4
 
 __all__ = [
-    "ANNOUNCE", "CLOSE", "HEADER", "JSON", "MAGIC", "TICK", "Field", "Kind", "Link", "MemoryLink", "TelemetryLink",
-    "TickPacker", "Topic", "announce_topics", "pack_frames",
-    "pack_frames_stamped", "stamp",
+    "ANNOUNCE", "CLOSE", "HEADER", "JSON", "MAGIC", "TICK", "Field", "Kind", "Link", "MemoryLink", "Row",
+    "TelemetryLink", "TickPacker", "Topic", "announce_topics", "pack_frames", "pack_frames_stamped", "stamp",
 ]  # fmt: skip
 
 HEADER: Final = struct.Struct("<HBBIqq")  # MAGIC, kind, source, bytes that follow, tick, t_ns
@@ -149,13 +148,14 @@ def announce_topics(packers: Sequence[TickPacker] = (), frames: dict[int, str] |
 class Link:
     """Where a process puts its telemetry. `dropped` counts the ticks that found no room.
 
-    hold_ticks : how many rows may wait before they are packed; 1: none does
+    hold_ticks : how many rows may wait before they are packed, HOLD_S at the most; 1: none does
     """
 
     def __init__(self, hold_ticks: int) -> None:
         self.dropped = 0
         self._hold_ticks = hold_ticks
         self._rows: list[Row] = []
+        self._due_s = 0.0  # when to pack them, of the monotonic clock
         self._pack_rows: PackRows | None = None
 
     def announce(self, topics_json: bytes, pack_rows: PackRows | None = None) -> None:
@@ -164,14 +164,18 @@ class Link:
 
     def write_row(self, row: Row) -> None:
         """Hand over a tick as a row. Everything in it must stay as it is: tuples and numbers. Ticks rise."""
-        self._rows.append(row)
-        if len(self._rows) >= self._hold_ticks:
+        rows = self._rows
+        rows.append(row)
+        now_s = time.monotonic()
+        if len(rows) == 1:
+            self._due_s = now_s + HOLD_S
+        if len(rows) >= self._hold_ticks or now_s >= self._due_s:
             self.flush()
 
     def flush(self) -> None:
         """Let go of what is held back, before a wait that may be long."""
-        if self._rows and self._pack_rows is not None:
-            rows, self._rows = self._rows, []
+        rows, self._rows = self._rows, []
+        if rows and self._pack_rows is not None:
             self._write_ticks(rows, self._pack_rows(rows))
 
     def _write_ticks(self, rows: list[Row], records: list[bytes]) -> None:
@@ -221,7 +225,6 @@ class TelemetryLink(Link):
         self._source = source
         self._blocking = blocking
         self._tail = b""  # the rest of a piece that the pipe took only in part
-        self._due_s = 0.0  # when to pack the rows, of the monotonic clock
         self._last_tick = 0
         if fd is not None:
             os.set_blocking(fd, False)
@@ -231,17 +234,6 @@ class TelemetryLink(Link):
     def announce(self, topics_json: bytes, pack_rows: PackRows | None = None) -> None:
         super().announce(topics_json, None if self._fd is None else pack_rows)
         self._send(HEADER.pack(MAGIC, ANNOUNCE, self._source, len(topics_json), 0, 0) + topics_json, wait=True)
-
-    def write_row(self, row: Row) -> None:
-        if self._pack_rows is None:
-            return
-        rows = self._rows
-        rows.append(row)
-        now_s = time.monotonic()
-        if len(rows) == 1:
-            self._due_s = now_s + HOLD_S
-        if len(rows) >= self._hold_ticks or now_s >= self._due_s:
-            self.flush()
 
     def _write_ticks(self, rows: list[Row], records: list[bytes]) -> None:
         pieces: list[bytes] = []

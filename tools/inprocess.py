@@ -5,10 +5,12 @@ The fastest way to run one, and the one for campaigns and tests. What it logs is
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable
 from pathlib import Path
 
+from bus.errors import RecordError
 from bus.telemetry import Link, TelemetryLink
 from fsw.flight import Flight
 from fsw.flight_log import FlightLog
@@ -63,6 +65,7 @@ def run_in_process(resolved: Resolved, out_dir: Path, on_progress: Callable[[int
         report.log, metadata=describe_run(resolved, "in process"), attachments=list_attachments(resolved)
     )
     plant_link, fsw_link = recorder.link(PLANT_SOURCE), recorder.link(FSW_SOURCE)
+    reason = "failed"
     try:
         bench = Bench(resolved, plant_link, fsw_link)
         report.first_cycle_s = time.monotonic() - started_s
@@ -71,9 +74,13 @@ def run_in_process(resolved: Resolved, out_dir: Path, on_progress: Callable[[int
         fsw_link.close("done")
         report.exit_code, report.ticks = 0, resolved.ticks
     except KeyboardInterrupt:
+        reason = "interrupted"
         report.exit_code = 130
         report.problems.append("interrupted; the log is closed properly")
-    finally:
+    finally:  # the last ticks before a failure are those that tell of it
+        for link in (plant_link, fsw_link):
+            with contextlib.suppress(RecordError):
+                link.close(reason)
         recorder.close()
     report.wall_s = time.monotonic() - started_s
     return report

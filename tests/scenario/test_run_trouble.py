@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import json
 import os
@@ -15,9 +16,12 @@ from pathlib import Path
 
 import pytest
 
+from bus.errors import RecordError, StepSizeError
 from tools import processes, runner
 from tools.config.loader import load_scenario
+from tools.inprocess import run_in_process
 from tools.mcap_reader import read_run
+from tools.mcap_writer import McapWriter
 from tools.scenario_files import find_scenario
 
 LONG = ["--set", "duration_s=3000", "--set", "expect=[]", "--no-plot", "--json", "-q"]
@@ -134,3 +138,34 @@ def test_a_process_that_cannot_be_started_ends_the_run(
     assert started
     assert all(process.code is not None for process in started)
     assert len(os.listdir("/proc/self/fd")) == descriptors
+
+
+@pytest.mark.parametrize(("error", "reason"), [(KeyboardInterrupt(), "interrupted"), (StepSizeError("no"), "failed")])
+def test_the_ticks_before_an_end_in_process_are_in_the_log(error: BaseException, reason: str, tmp_path: Path) -> None:
+    """Ctrl-C, or an algorithm that gives up, at tick 100: the log is whole and ends with that tick, on both sides."""
+
+    def end(tick: int) -> None:
+        if tick == 100:
+            raise error
+
+    resolved = load_scenario(find_scenario("zhang2018"), ["clock.mode=inprocess"])
+    with contextlib.nullcontext() if reason == "interrupted" else pytest.raises(StepSizeError):
+        assert run_in_process(resolved, tmp_path, end).exit_code == 130
+    run = read_run(tmp_path / "run.mcap")
+    assert run.complete
+    assert [len(run.t_ns(topic)) for topic in ("/can/bus0", "/truth/wheels", "/fsw/attitude")] == [101, 101, 101]
+    assert run.metadata["recording"]["ended_1"] == reason
+
+
+def test_a_disk_that_is_full_at_the_last_write_fails_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing is left to write but what the links hold back: the run does not pass without it."""
+
+    def write_chunk(writer: McapWriter, parts: list[bytes]) -> None:
+        raise RecordError("no space left")
+
+    monkeypatch.setattr(McapWriter, "write_chunk", write_chunk)
+    resolved = load_scenario(
+        find_scenario("zhang2018"), ["clock.mode=inprocess", "duration_s=1", "expect=[]", "faults=[]"]
+    )
+    with pytest.raises(RecordError, match="no space left"):
+        run_in_process(resolved, tmp_path, lambda tick: None)
