@@ -7,10 +7,12 @@ into the checksum; a frame that repeats a counter is thrown away.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from typing import Any
 
 from fastcrc.crc8 import sae_j1850
+
+from bus.frames import FRAME_ID, FRAME_SIZE
 
 COUNTER_MODULUS = 15  # 0..14; 15 on the wire is never valid
 NEXT_COUNTER = (*range(1, COUNTER_MODULUS), 0, 0)  # by the counter just sent
@@ -131,6 +133,17 @@ class LinkGroup:
         """Find the counter that all links expect next: -1 while they do not expect the same."""
         counters = {link.expected for link in self._links}
         self.expected = counters.pop() if len(counters) == 1 else -1
+
+
+def part_group(batch: bytes, size: int, group_ids: Container[int]) -> tuple[bytes, bytes] | None:
+    """Frames that come together, `size` bytes with the last of them at the end, and whatever stands ahead of that one.
+
+    None where that is not whole frames of other ids, so that it would matter which are looked at first.
+    """
+    ahead = batch[size - FRAME_SIZE : -FRAME_SIZE]
+    if not ahead or len(ahead) % FRAME_SIZE or any(can_id in group_ids for (can_id,) in FRAME_ID.iter_unpack(ahead)):
+        return None
+    return batch[: size - FRAME_SIZE] + batch[-FRAME_SIZE:], ahead
 
 
 class Receiver:

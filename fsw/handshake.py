@@ -10,15 +10,14 @@ Frames of the meeting are not part of the run: their number depends on who came 
 from __future__ import annotations
 
 import time
-from struct import Struct
 
 from bus.errors import PeerLostError, UsageError
+from bus.frames import FRAME
 from bus.icd_codec import decode_HEARTBEAT_PLANT
 from bus.transport import Transport
 from fsw.inputs import HEARTBEAT_PLANT_ID
 from fsw.outputs import STATE_BOOT, STATE_OPERATIONAL, STATE_STOPPED, Outputs
 
-FRAME = Struct("=IB3x8s")
 CALL_EVERY_S = 0.05
 
 

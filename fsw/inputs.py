@@ -12,10 +12,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from struct import Struct
 from typing import Any, TypeVar
 
-from bus.e2e import Link, LinkGroup
+from bus.e2e import Link, LinkGroup, part_group
+from bus.frames import FRAME
 from bus.icd_codec import DECODERS, SENSORS_SIZE, decode_sensors
 from bus.units import Vec3, Vec4
 from fsw.config import FswConfig
@@ -30,10 +30,6 @@ WHEEL_IDS = (0x190, 0x191, 0x192, 0x193)
 STAR_A_ID, STAR_B_ID = 0x1B0, 0x1B1
 SYNC_ID, TIME_ID, HEARTBEAT_PLANT_ID = 0x080, 0x100, 0x701
 GROUP_IDS = (*WHEEL_IDS, *FOG_IDS, SYNC_ID)  # the frames of every tick, in the order in which the plant sends them
-
-FRAME = Struct("=IB3x8s")
-FRAME_SIZE = FRAME.size
-UNITS_SIZE = SENSORS_SIZE - FRAME_SIZE  # of the group without SYNC, which goes behind whatever else the tick brings
 
 STATUS_OK = 0
 STAR_NOT_VALID = 15
@@ -103,13 +99,12 @@ class Inputs:
         """Everything that is known at this tick, after the given frames."""
         self._tick = tick
         self._q_new = False
-        between = b""
-        usual = batch
+        usual, between = batch, b""
         if len(batch) != SENSORS_SIZE:
-            between = batch[UNITS_SIZE:-FRAME_SIZE]
-            if not _is_apart(between):
+            parts = part_group(batch, SENSORS_SIZE, GROUP_IDS)
+            if parts is None:
                 return self._receive_each(tick, batch)
-            usual = batch[:UNITS_SIZE] + batch[-FRAME_SIZE:]
+            usual, between = parts
         values = decode_sensors(usual, self._group.expected)
         if values is None:
             return self._receive_each(tick, batch)
@@ -237,10 +232,3 @@ class Inputs:
 def _replace(values: T, index: int, value: float) -> T:
     """Return the tuple with another value at that index."""
     return (*values[:index], value, *values[index + 1 :])  # type: ignore[return-value]
-
-
-def _is_apart(frames: bytes) -> bool:
-    """Return whether these are whole frames and none of the group's, so that either may be looked at first."""
-    if not frames or len(frames) % FRAME_SIZE:
-        return False
-    return all(can_id not in GROUP_IDS for can_id, _, _ in FRAME.iter_unpack(frames))

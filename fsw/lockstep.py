@@ -7,6 +7,7 @@ from struct import Struct
 
 from bus.clock import PEER_TIMEOUT_S, QUIET_S
 from bus.errors import PeerLostError
+from bus.frames import FRAME_SIZE
 from bus.icd_codec import decode_SYNC
 from bus.transport import Transport
 from fsw.flight import Flight
@@ -15,7 +16,6 @@ from fsw.handshake import plant_stopped
 from fsw.inputs import SYNC_ID
 from fsw.outputs import STATE_STOPPED
 
-FRAME_SIZE = 16
 ID = Struct("=I")
 SYNC_TAIL = ID.pack(SYNC_ID)
 

@@ -12,9 +12,9 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
-from struct import Struct
 
-from bus.e2e import Link, LinkGroup
+from bus.e2e import Link, LinkGroup, part_group
+from bus.frames import FRAME, FRAME_SIZE
 from bus.icd_codec import (
     COMMANDS_SIZE,
     DECODERS,
@@ -31,14 +31,11 @@ from bus.icd_codec import (
 from plant_server.plant import FaultEvent, Plant, Snapshot
 from plant_server.star_tracker import StarFrame
 
-FRAME = Struct("=IB3x8s")
-FRAME_SIZE = FRAME.size
 COUNTER_PERIOD = 15
 COMMAND_IDS = {0x110: 0, 0x111: 1, 0x112: 2, 0x113: 3}
 CYCLE_DONE_ID, HEARTBEAT_FSW_ID = 0x081, 0x702
 GROUP_IDS = (*COMMAND_IDS, CYCLE_DONE_ID)  # the frames of every tick, in the order in which they come
 GROUP_SIZE = len(GROUP_IDS)
-WHEELS_SIZE = COMMANDS_SIZE - FRAME_SIZE  # of the group without CYCLE_DONE, which comes behind whatever else there is
 STATE_STOPPED, STATE_OPERATIONAL, STATE_PRE_OPERATIONAL, STATE_FAILED = 4, 5, 127, 128
 STAR_NOT_VALID = 15
 HEARTBEAT_S = 1.0
@@ -140,13 +137,12 @@ class PlantServer:
 
         A batch that is just what a cycle sends is taken at once; whatever differs from that in one bit, frame by frame.
         """
-        between = b""
-        usual = batch
+        usual, between = batch, b""
         if len(batch) != COMMANDS_SIZE:
-            between = batch[WHEELS_SIZE:-FRAME_SIZE]
-            if not _is_apart(between):
+            parts = part_group(batch, COMMANDS_SIZE, GROUP_IDS)
+            if parts is None:
                 return self._accept_each(batch)
-            usual = batch[:WHEELS_SIZE] + batch[-FRAME_SIZE:]
+            usual, between = parts
         values = decode_commands(usual, self._group.expected)
         if values is None:
             return self._accept_each(batch)
@@ -221,13 +217,6 @@ class PlantServer:
         )
         self.counters.timeouts += torques.count(None)
         return torques
-
-
-def _is_apart(frames: bytes) -> bool:
-    """Return whether these are whole frames and none of the group's, so that either may be looked at first."""
-    if not frames or len(frames) % FRAME_SIZE:
-        return False
-    return all(can_id not in GROUP_IDS for can_id, _, _ in FRAME.iter_unpack(frames))
 
 
 def _leave_out(batch: bytes, silent: tuple[bool, ...]) -> bytes:

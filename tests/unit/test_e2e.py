@@ -5,7 +5,8 @@ from __future__ import annotations
 from fastcrc.crc8 import sae_j1850
 
 from bus import e2e, icd_codec
-from bus.e2e import Link, Receiver
+from bus.e2e import Link, Receiver, part_group
+from bus.frames import FRAME
 from bus.icd import MESSAGES
 
 SPEED_FRAME_ID = 0x190
@@ -132,3 +133,14 @@ def test_receiver_counts_by_name_over_all_ids() -> None:
     assert receiver.counts() == {
         "ok": 2, "lost": 1, "repeated": 1, "invalid": 1, "crc": 2, "length": 1, "unknown": 1, "missing": 1,
     }  # fmt: skip
+
+
+def test_a_group_is_told_from_what_stands_ahead_of_its_last_frame() -> None:
+    """Two frames of the group, others between them; one of the group in between, or a part of a frame: no telling."""
+    first, last, other, again = (FRAME.pack(can_id, 8, bytes(8)) for can_id in (0x110, 0x081, 0x702, 0x110))
+    ids = (0x110, 0x081)
+    assert part_group(first + other + other + last, 32, ids) == (first + last, other + other)
+    assert part_group(first + again + last, 32, ids) is None
+    assert part_group(first + other[:7] + last, 32, ids) is None
+    for too_short in (b"", first, first[:9], first + last):
+        assert part_group(too_short, 32, ids) is None
