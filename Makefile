@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 SCENARIO ?= zhang2018
 
-.PHONY: run setup test test-slow test-all test-vcan lint coverage coverage-gate clean
+.PHONY: run setup test test-slow test-all test-vcan test-foxglove lint coverage coverage-gate clean
 
 run: $(STAMP)
 	$(BIN)/hilsat run $(SCENARIO)
@@ -30,13 +30,21 @@ test: $(STAMP)
 test-slow: $(STAMP)
 	$(BIN)/python -m pytest -n auto -m "slow and not vcan and not vcan_host"
 
-test-all: test test-slow test-vcan
+test-all: test test-slow test-vcan test-foxglove
 
 # Real AF_CAN: natively where the kernel has CAN, else in a user-mode Linux guest; fails where neither works.
 test-vcan: $(STAMP)
 	@command -v candump >/dev/null || $(BIN)/python -P -c 'from tools.vcan.packages import unpack; unpack("can-utils")'
 	$(BIN)/hilsat vcan exec --can vcan0,vcan1 --rw . -- $(BIN)/python -m pytest -p no:cacheprovider -m vcan
 	$(BIN)/python -m pytest -m vcan_host
+
+# A log as Foxglove's own libraries see it: every index, schema and message.
+test-foxglove: $(STAMP)
+	@command -v npm >/dev/null || { echo "npm is missing: sudo apt-get install nodejs npm" >&2; exit 2; }
+	@mkdir -p $(VENV)/foxglove && cp tests/foxglove/* $(VENV)/foxglove && rm -rf $(VENV)/foxglove/log
+	npm install --prefix $(VENV)/foxglove --silent --no-audit --no-fund --no-package-lock --ignore-scripts
+	$(BIN)/hilsat run zhang2018 --no-plot -q --out $(VENV)/foxglove/log >/dev/null
+	node $(VENV)/foxglove/read_log.mjs $(VENV)/foxglove/log/run.mcap
 
 lint: $(STAMP)
 	$(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/mypy && $(BIN)/lint-imports
