@@ -54,7 +54,7 @@ class Conclusion:
             lines += [f"  {name:<34} {value}" for name, value in self.figures.items()]
         if self.grade is not None:
             lines += ["grade", format_grade(self.grade)]
-        if self.report.log.exists():
+        if self.report.log.exists() and self.figures:
             lines.append(f"log      {self.report.log}")
         if self.picture is not None:
             lines.append(f"picture  {self.picture}")
@@ -62,10 +62,15 @@ class Conclusion:
 
 
 def conclude(resolved: Resolved, report: RunReport, draw: bool = True) -> Conclusion:
-    """Grade the log, add the grade to it, draw it, sum it up. A run that broke is summed up as far as it got."""
+    """Grade the log, add the grade to it, draw it, sum it up. A run that broke is summed up as far as it got.
+
+    One that broke before its first tick has nothing to sum up: why it broke is all there is to say.
+    """
     result = Conclusion(resolved.scenario.name, report)
     try:
         run = read_run(report.log)
+        if report.exit_code and not ("/truth/attitude" in run.topics and run.t_ns("/truth/attitude").size):
+            return result
         result.figures = _sum_up(run, resolved, report)
         result.grade = grade_run(run, resolved)
         if report.exit_code == 0:

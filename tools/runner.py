@@ -191,10 +191,14 @@ class _Supervisor:
             return
         bad = [process for process in (*self._recorders, *self._sides) if process.code != 0]
         bad.sort(key=lambda process: (process.code is not None, process.code if process.code is not None else 0))
+        said: set[str] = set()  # without the name ahead of it: what both sides say is said once
         for process in bad:
-            report.problems.append(process.words() or f"{process.fate()} at about tick {report.ticks}")
-            if process.code is not None and process.code < 0:
-                report.problems[-1] = f"{process.fate()} at about tick {report.ticks}"
+            words = process.words()
+            if not words or (process.code is not None and process.code < 0):
+                report.problems.append(f"{process.fate()} at about tick {report.ticks}")
+            elif words.partition(": ")[2] not in said:
+                said.add(words.partition(": ")[2])
+                report.problems.append(words)
         report.exit_code = 2 if any(process.code == 2 for process in bad) else 3
 
     def _end(self) -> None:

@@ -42,6 +42,17 @@ def test_mistakes_are_named(words: list[str], code: int, message: str, tmp_path:
     assert done.returncode == code, done.stderr
     assert message in done.stderr
     assert "Traceback" not in done.stderr
+    assert not done.stdout
+
+
+def test_a_run_that_never_begins_says_why_and_no_more(tmp_path: Path) -> None:
+    """Both sides miss the bus: said once, without a grade of what was never flown."""
+    words = ["run", "zhang2018", "--bus", "socketcan:nosuchcan0", "--out", str(tmp_path / "out")]
+    done = hilsat(*words)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.count("nosuchcan0 is not there") == 1
+    told = json.loads(hilsat(*words[:-1], str(tmp_path / "again"), "--json").stdout)
+    assert (told["exit_code"], told["grade"], told["figures"], len(told["run"]["problems"])) == (2, None, {}, 1)
 
 
 def test_a_run_grades_and_regrades(tmp_path: Path) -> None:

@@ -94,8 +94,8 @@ def _conclude(args: argparse.Namespace, resolved: Resolved, report: RunReport) -
     result = conclude(resolved, report, draw=not args.no_plot)
     if args.json:
         print(json.dumps(result.as_dict(), allow_nan=False))
-    else:
-        print(result.as_text())
+    elif text := result.as_text():
+        print(text)
     for problem in report.problems:
         print(f"hilsat run: {problem}", file=sys.stderr)
     return result.exit_code
