@@ -54,9 +54,8 @@ class PlantLog:
         t_ns = tick * self._tick_ns
         for event in server.events:
             self._announce(event, tick, t_ns)
-        self.link.write_row((tick, t_ns, frames, server.snapshot, self._arrivals))
-        if self._arrivals:
-            self._arrivals = []
+        self.link.write_row((tick, t_ns, frames, server.snapshot, tuple(self._arrivals)))
+        self._arrivals.clear()
 
     def _pack_rows(self, rows: list[Row]) -> list[bytes]:
         expand, pack, records = self._server.plant.expand, self._packer.pack_stamped, []

@@ -1,0 +1,33 @@
+"""What a tick leaves behind for the log must not change before it is packed."""
+
+from __future__ import annotations
+
+import pytest
+
+from bus.telemetry import Link, Row
+from tools.config.loader import load_scenario
+from tools.inprocess import Bench
+from tools.scenario_files import find_scenario, list_shipped
+
+
+class Keeper(Link):
+    """Keeps the rows of one side, and what they hash to when they are handed over."""
+
+    def __init__(self) -> None:
+        super().__init__(hold_ticks=1)
+        self.rows: list[tuple[Row, int]] = []
+
+    def write_row(self, row: Row) -> None:
+        self.rows.append((row, hash(row)))
+
+    def write_json(self, topic: str, t_ns: int, payload: bytes) -> None: ...
+
+
+@pytest.mark.parametrize("name", list_shipped())
+def test_rows_hold_nothing_that_can_change(name: str) -> None:
+    """Hashable through and through (a list or an object inside would raise), and the same 60 ticks later."""
+    plant, fsw = Keeper(), Keeper()
+    Bench(load_scenario(find_scenario(name), ["clock.mode=inprocess", "expect=[]"]), plant, fsw).run(60)
+    for keeper in (plant, fsw):
+        assert len(keeper.rows) == 60
+        assert all(hash(row) == before for row, before in keeper.rows)
