@@ -8,11 +8,12 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+from bus.address import open_transport
 from bus.clock import claim_realtime
 from bus.process import MEETING_PATIENCE_S, Progress, last_word, run_process
 from bus.settings import RunConfig, build_file
 from bus.telemetry import TelemetryLink
-from bus.transport import Transport, open_transport
+from bus.transport import Transport
 from bus.units import Vec4
 from plant_server.config import FaultConfig, PlantConfig
 from plant_server.handshake import meet_fsw

@@ -17,10 +17,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from bus.address import open_transport
 from bus.can_link import find_link, kernel_has_can, list_can_links
 from bus.errors import BusError
 from bus.frames import FRAME
-from bus.transport import Transport, open_transport
+from bus.transport import Transport
 
 BENCH_ID, PING_ID, ACK_ID, ASK_ID = 0x7D0, 0x7D1, 0x7D2, 0x7D3
 PATIENCE_S = 10.0

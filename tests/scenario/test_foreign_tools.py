@@ -26,9 +26,10 @@ import pyte
 import pytest
 
 import tools
+from bus.address import open_transport
 from bus.frames import FRAME
 from bus.icd import dbc_path
-from bus.transport import Transport, open_transport
+from bus.transport import Transport
 from tools.vcan import packages
 
 ROOT = Path(tools.__file__).resolve().parent.parent

@@ -26,10 +26,10 @@ import numpy as np
 import pytest
 
 import tools
+from bus.address import open_transport
 from bus.errors import BusAddressError
 from bus.frames import EFF_FLAG, ERR_FLAG, FRAME, RTR_FLAG
 from bus.icd_codec import encode_HEARTBEAT_PLANT
-from bus.transport import open_transport
 from tools.config.loader import load_scenario
 from tools.inprocess import run_in_process
 from tools.mcap_reader import Run, read_run

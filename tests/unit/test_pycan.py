@@ -19,11 +19,12 @@ from can.interfaces.virtual import VirtualBus
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bus.address import open_transport
 from bus.errors import BusAddressError, BusLostError
 from bus.frames import EFF_FLAG, ERR_FLAG, FRAME, RTR_FLAG
 from bus.hub_host import HubHost
-from bus.pycan import HilsatBus, PyCanTransport, pack_message, unpack_message
-from bus.transport import open_transport
+from bus.pycan import HilsatBus
+from bus.pycan_transport import PyCanTransport, pack_message, unpack_message
 
 ROOT = Path(__file__).resolve().parents[2]
 # As the entry point of an installed hilsat does it.
