@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import math
 
-from bus.attitude import rotate_back
 from bus.units import DEG, Mat3, Vec3, Vec4
 from plant_server.config import ConstantTorque, GravityGradient, SinusoidalTorque, TorqueConfig
-from plant_server.dynamics import multiply_matrix
 
 MU_M3_S2 = 3.986004418e14  # Earth's gravitational parameter, WGS 84
 EARTH_RADIUS_M = 6378137.0  # equatorial, WGS 84
@@ -54,9 +52,19 @@ class Environment:
         Hughes, Spacecraft Attitude Dynamics, 1986, sec 8.1; for a circular orbit mu/r^3 = n^2.
         """
         angle = orbital_rate_rad_s * t_s
-        o = rotate_back(q_ib, (math.cos(angle), math.sin(angle), 0.0))
-        x, y, z = o
-        a, b, c = multiply_matrix(self._inertia, o)
+        c, s = math.cos(angle), math.sin(angle)
+        q0, q1, q2, q3 = q_ib
+        # o = R(q)' (c, s, 0), as bus.attitude.rotate_back has it; then J o
+        a = 2.0 * q3 * s
+        b = -2.0 * q3 * c
+        d = 2.0 * (q2 * c - q1 * s)
+        x = c + q0 * a - q2 * d + q3 * b
+        y = s + q0 * b - q3 * a + q1 * d
+        z = q0 * d - q1 * b + q2 * a
+        (j00, j01, j02), (j10, j11, j12), (j20, j21, j22) = self._inertia
+        a = j00 * x + j01 * y + j02 * z
+        b = j10 * x + j11 * y + j12 * z
+        c = j20 * x + j21 * y + j22 * z
         k = 3.0 * orbital_rate_rad_s * orbital_rate_rad_s
         return (k * (y * c - z * b), k * (z * a - x * c), k * (x * b - y * a))
 
