@@ -17,6 +17,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from bus.attitude import dcm_from_quaternion, exp_map
 from bus.units import DEG, Mat3, Vec3
 from plant_server.config import GyroConfig
@@ -25,6 +28,9 @@ from plant_server.noise import open_normals, open_stream
 
 OK, OUT_OF_RANGE = 0, 2  # STATUS of the rate frame; 1, fault, is never known to the unit
 BLOCK = 512  # samples of noise made at a time
+Floats = NDArray[np.float64]
+# of the three axes [rad/s]: error, which is bias and white noise together; bias; white noise
+Errors = tuple[float, float, float, float, float, float, float, float, float]
 SIGMA_PER_INSTABILITY = 0.664 / 0.617  # Gauss-Markov sigma over bias instability B
 
 
@@ -83,25 +89,44 @@ class AxisNoise:
         self._instability = sigma * float(self._stream.standard_normal())  # stationary from the start
         self._walk = 0.0
 
-    def make_block(self) -> tuple[list[float], list[float]]:
+    def make_block(self) -> tuple[Floats, Floats]:
         """Return the white noise and the bias of the next BLOCK samples [rad/s]."""
         draws = self._stream.standard_normal((3, BLOCK))
-        white = (self._white * draws[0]).tolist()
-        instability, walk, bias = self._instability, self._walk, []
-        for kick, pace in zip((self._drive * draws[1]).tolist(), (self._walk_step * draws[2]).tolist(), strict=True):
-            bias.append(self._turn_on + instability + walk)
-            instability = self._decay * instability + kick
-            walk += pace
-        self._instability, self._walk = instability, walk
-        return white, bias
+        decay, instability = self._decay, self._instability
+        wander = [instability, *(instability := decay * instability + k for k in (self._drive * draws[1]).tolist())]
+        walk = np.cumsum(np.concatenate(((self._walk,), self._walk_step * draws[2])))
+        self._instability, self._walk = wander.pop(), float(walk[-1])
+        return self._white * draws[0], self._turn_on + np.array(wander) + walk[:-1]
+
+
+class TriadNoise:
+    """The noise of three axes, a sample at a time."""
+
+    __slots__ = ("_axes", "_block", "_next")
+
+    def __init__(self, axes: tuple[AxisNoise, ...]) -> None:
+        self._axes = axes
+        self._block: list[Errors] = []
+        self._next = BLOCK
+
+    def draw(self) -> Errors:
+        """Return the errors of the next sample."""
+        i = self._next
+        if i == BLOCK:
+            whites, biases = zip(*(axis.make_block() for axis in self._axes), strict=True)
+            columns = (*(white + bias for white, bias in zip(whites, biases, strict=True)), *biases, *whites)
+            self._block = list(zip(*(column.tolist() for column in columns), strict=True))
+            i = 0
+        self._next = i + 1
+        return self._block[i]
 
 
 class GyroAxis:
     """One axis: from the true rate about the sensing axis to the rate that its frame carries."""
 
     __slots__ = (
-        "_bias_block", "_carry", "_filter", "_filtered", "_frozen", "_gain", "_last", "_lsb_rate", "_next", "_noise",
-        "_range", "_turn_on", "_white_block", "bias_rad_s", "chain", "fault_rad_s", "ideal", "silent", "status",
+        "_filter", "_filtered", "_frozen", "_range", "bias_rad_s", "carry", "chain", "fault_rad_s", "gain", "last_rad_s",
+        "lsb_rate", "noise", "silent", "status",
     )  # fmt: skip
 
     def __init__(
@@ -113,42 +138,33 @@ class GyroAxis:
             scale = terms.scale_factor_sigma * open_normals(seed, f"{unit}/scale_factor")()
         else:
             scale = config.scale_factor[axis]
-        self._gain = 1.0 + scale
-        self._turn_on = config.bias_rad_s[axis]
+        self.gain = 1.0 + scale
         noisy = terms.arw_rad_sqrt_s or terms.bias_instability_rad_s or terms.rrw_rad_s_sqrt_s
-        self._noise = AxisNoise(terms, self._turn_on, dt_s, seed, unit) if noisy else None
-        self._white_block: list[float] = []
-        self._bias_block: list[float] = []
-        self._next = BLOCK
+        self.noise = AxisNoise(terms, config.bias_rad_s[axis], dt_s, seed, unit) if noisy else None
         self._filter = 1.0 - math.exp(-2.0 * math.pi * config.bandwidth_hz * dt_s) if config.bandwidth_hz else 1.0
         self._filtered: float | None = None
         self._range = config.range_rad_s
-        self._lsb_rate = terms.angle_lsb_rad / dt_s
-        self.ideal = not noisy and self._gain == 1.0 and self._filter == 1.0 and self._turn_on == self._lsb_rate == 0.0
-        self._carry = 0.0  # integrated angle not yet given out, in quanta
-        self._last = 0.0
+        self.lsb_rate = terms.angle_lsb_rad / dt_s
+        self.carry = 0.0  # integrated angle not yet given out, in quanta
+        self.last_rad_s = 0.0
         self._frozen = False
-        self.bias_rad_s = self._turn_on
+        self.bias_rad_s = config.bias_rad_s[axis]
         self.fault_rad_s = 0.0
         self.status = OK
         self.silent = False
 
-    def sample(self, rate_rad_s: float, step: int, t_s: float) -> float:
-        """Return the rate of this tick's frame [rad/s]; `silent` says that there is no frame."""
-        rate = rate_rad_s * self._gain
+    def sample(self, rate_rad_s: float, error: float, bias: float, white: float, step: int, t_s: float) -> float:
+        """Return the rate of this tick's frame [rad/s]; `silent` says that there is no frame.
+
+        rate_rad_s         : true rate about the sensing axis
+        error, bias, white : of this sample, error = bias + white [rad/s]
+        """
+        rate = rate_rad_s * self.gain
         if self._filter != 1.0:
             before = self._filtered
             self._filtered = rate = rate if before is None else before + (rate - before) * self._filter
-        white = 0.0
-        if self._noise is not None:
-            i = self._next
-            if i == BLOCK:
-                self._white_block, self._bias_block = self._noise.make_block()
-                i = 0
-            self._next = i + 1
-            white = self._white_block[i]
-            self.bias_rad_s = self._bias_block[i]
-        rate += self.bias_rad_s + white
+        self.bias_rad_s = bias
+        rate += error
         chain = self.chain
         if step >= chain.next_edge:
             chain.refresh(step)
@@ -164,13 +180,13 @@ class GyroAxis:
         else:
             self.status = OUT_OF_RANGE
             rate = limit if rate > 0.0 else -limit
-        if self._lsb_rate and not self._frozen:
-            angle = self._carry + rate / self._lsb_rate
+        if self.lsb_rate and not self._frozen:
+            angle = self.carry + rate / self.lsb_rate
             quanta = round(angle)
-            self._carry = angle - quanta
-            rate = quanta * self._lsb_rate
+            self.carry = angle - quanta
+            rate = quanta * self.lsb_rate
         if not self.silent:
-            self._last = rate
+            self.last_rad_s = rate
         return rate
 
     def _disturb(self, rate: float, white: float, t_s: float) -> float:
@@ -205,7 +221,7 @@ class GyroAxis:
     def _hold(self, fault: ActiveFault) -> float:
         if fault.held_rad_s is None:
             given = fault.config.rate_rad_s
-            fault.held_rad_s = self._last if given is None else given
+            fault.held_rad_s = self.last_rad_s if given is None else given
         return fault.held_rad_s
 
 
@@ -233,19 +249,16 @@ def _shift(fault: ActiveFault, rate: float, t_s: float) -> float:
 
 
 class Gyro:
-    """The triad."""
+    """The triad.
+
+    Two ways lead to the same rates. While no fault acts and nothing is out of range, the three axes are sampled together;
+    else, and with a filter, each by itself. What an axis hands on from sample to sample lies here for both.
+    """
 
     __slots__ = (
-        "_ideal",
-        "_quiet_until",
-        "_range",
-        "_sensing",
-        "axes",
-        "instantaneous",
-        "silent",
-        "status",
-        "truth_rad_s",
-    )
+        "_carry", "_gains", "_ideal", "_last", "_lsb_rate", "_noise", "_quiet_until", "_range", "_sensing", "_still",
+        "_together", "axes", "instantaneous", "silent", "status", "truth_rad_s",
+    )  # fmt: skip
 
     def __init__(self, config: GyroConfig, timeline: FaultTimeline, dt_s: float, seed: int) -> None:
         self.instantaneous = config.preset == "ideal"
@@ -253,14 +266,25 @@ class Gyro:
         # rows: sensing axes in body axes, the triad turned by the rotation vector `misalignment`
         (a, b, c), (d, e, f), (g, h, i) = dcm_from_quaternion(exp_map((x, y, z)))
         self._sensing: Mat3 | None = ((a, d, g), (b, e, h), (c, f, i)) if x or y or z else None
-        self.axes = tuple(GyroAxis(unit, config, axis, timeline, dt_s, seed) for axis, unit in enumerate(GYRO_AXES))
+        self.axes = ax, ay, az = tuple(
+            GyroAxis(unit, config, axis, timeline, dt_s, seed) for axis, unit in enumerate(GYRO_AXES)
+        )
         self.status = (OK, OK, OK)
         self.silent = (False, False, False)
-        self.truth_rad_s: tuple[float, ...] = ()  # bias of each axis, then what the faults add, in the last sample
-        self._look_at_axes()
+        bx, by, bz = config.bias_rad_s
+        self._still: Errors = (bx, by, bz, bx, by, bz, 0.0, 0.0, 0.0)  # of axes without noise
+        noises = tuple(axis.noise for axis in self.axes if axis.noise is not None)
+        self._noise = TriadNoise(noises) if noises else None
+        self._gains: Vec3 = (ax.gain, ay.gain, az.gain)
+        self._lsb_rate = ax.lsb_rate
+        self._carry: Vec3 = (0.0, 0.0, 0.0)
+        self._last: Vec3 = (0.0, 0.0, 0.0)
+        self.truth_rad_s: tuple[float, ...] = (bx, by, bz, 0.0, 0.0, 0.0)  # bias and fault of each axis, last sample
         self._range = config.range_rad_s
-        self._ideal = self._sensing is None and all(axis.ideal for axis in self.axes)
-        self._quiet_until = -1  # step before which no fault acts, for the short way of ideal axes
+        self._together = not config.bandwidth_hz
+        exact = self._sensing is None and self._together and self._lsb_rate == 0.0 and self._gains == (1.0, 1.0, 1.0)
+        self._ideal = exact and self._noise is None and not (bx or by or bz)
+        self._quiet_until = -1  # step before which no fault acts
 
     def sample(self, rate_b_rad_s: Vec3, step: int, t_s: float) -> Vec3:
         """Return the rates of this tick's frames [rad/s], one per axis; set `status` and `silent` of each.
@@ -270,25 +294,56 @@ class Gyro:
         """
         x, y, z = rate_b_rad_s
         limit = self._range
-        if step < self._quiet_until and -limit <= x <= limit and -limit <= y <= limit and -limit <= z <= limit:
+        quiet = step < self._quiet_until
+        if quiet and self._ideal and -limit <= x <= limit and -limit <= y <= limit and -limit <= z <= limit:
             return rate_b_rad_s
         if self._sensing is not None:
             (a, b, c), (d, e, f), (g, h, i) = self._sensing
             x, y, z = a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z
+        errors = self._still if self._noise is None else self._noise.draw()
+        if quiet and self._together:
+            gx, gy, gz = self._gains
+            ex, ey, ez, bx, by, bz, _, _, _ = errors
+            u = x * gx + ex
+            v = y * gy + ey
+            w = z * gz + ez
+            if -limit <= u <= limit and -limit <= v <= limit and -limit <= w <= limit:
+                self.truth_rad_s = (bx, by, bz, 0.0, 0.0, 0.0)
+                self._last = rate = self._quantise(u, v, w) if self._lsb_rate else (u, v, w)
+                return rate
+        return self._sample_each(x, y, z, errors, step, t_s)
+
+    def _quantise(self, x: float, y: float, z: float) -> Vec3:
+        """Return the rates as whole quanta of the integrated angle [rad/s]; the rest is carried to the next sample."""
+        lsb = self._lsb_rate
+        a, b, c = self._carry
+        a += x / lsb
+        b += y / lsb
+        c += z / lsb
+        i, j, k = round(a), round(b), round(c)
+        self._carry = (a - i, b - j, c - k)
+        return (i * lsb, j * lsb, k * lsb)
+
+    def _sample_each(self, x: float, y: float, z: float, errors: Errors, step: int, t_s: float) -> Vec3:
+        """Sample the axes one by one, whatever happens to them."""
         ax, ay, az = self.axes
-        rate = (ax.sample(x, step, t_s), ay.sample(y, step, t_s), az.sample(z, step, t_s))
+        for axis, carry, last in zip(self.axes, self._carry, self._last, strict=True):
+            axis.carry, axis.last_rad_s = carry, last
+        ex, ey, ez, bx, by, bz, wx, wy, wz = errors
+        rate = (
+            ax.sample(x, ex, bx, wx, step, t_s),
+            ay.sample(y, ey, by, wy, step, t_s),
+            az.sample(z, ez, bz, wz, step, t_s),
+        )
+        self._carry = (ax.carry, ay.carry, az.carry)
+        self._last = (ax.last_rad_s, ay.last_rad_s, az.last_rad_s)
         self.status = (ax.status, ay.status, az.status)
         self.silent = (ax.silent, ay.silent, az.silent)
-        self._look_at_axes()
-        if self._ideal:
-            clean = self.status == (OK, OK, OK) and not (ax.chain.active or ay.chain.active or az.chain.active)
-            self._quiet_until = min(axis.chain.next_edge for axis in self.axes) if clean else -1
+        self.truth_rad_s = (bx, by, bz, ax.fault_rad_s, ay.fault_rad_s, az.fault_rad_s)
+        clean = self.status == (OK, OK, OK) and not (ax.chain.active or ay.chain.active or az.chain.active)
+        self._quiet_until = min(axis.chain.next_edge for axis in self.axes) if clean else -1
         return rate
 
     def look_again(self) -> None:
         """Note that a fault was added to one of the chains."""
         self._quiet_until = -1
-
-    def _look_at_axes(self) -> None:
-        x, y, z = self.axes
-        self.truth_rad_s = (x.bias_rad_s, y.bias_rad_s, z.bias_rad_s, x.fault_rad_s, y.fault_rad_s, z.fault_rad_s)
