@@ -385,7 +385,8 @@ decode_<NAME>(data) returns (counter, nibble, *signals) of the 8 data bytes, or 
 data and id, or where the length is not 8. It raises on no bytes whatever.
 
 decode_<batch>(batch, counter) takes all frames of one tick at once where they are what they nearly always are, and
-returns None everywhere else: then the frames must be looked at one by one. encode_<batch> makes such a batch.
+returns None everywhere else: then the frames must be looked at one by one. encode_<batch> makes such a batch; vectors
+must be tuples, for what was rounded for one is used again for the very same one.
 """
 
 from __future__ import annotations
