@@ -296,6 +296,7 @@ class Gyro:
         limit = self._range
         quiet = step < self._quiet_until
         if quiet and self._ideal and -limit <= x <= limit and -limit <= y <= limit and -limit <= z <= limit:
+            self._last = rate_b_rad_s  # what a fault `stuck` will hold
             return rate_b_rad_s
         if self._sensing is not None:
             (a, b, c), (d, e, f), (g, h, i) = self._sensing

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from plant_server.config import FaultConfig, GyroConfig
@@ -51,6 +51,11 @@ def make_gyro(config: GyroConfig, given_faults: list[FaultConfig]) -> Gyro:
 
 @settings(max_examples=150, deadline=None)
 @given(configs, st.lists(faults(), max_size=3), st.lists(st.floats(-1.1, 1.1), min_size=60, max_size=60))
+@example(  # what an ideal gyro that gets stuck holds is the sample before
+    GyroConfig(preset="ideal", range_rad_s=1.0),
+    [FaultConfig(unit="gyro.x", kind="stuck", at_s=2 * TICK_S)],
+    [0.0, 0.5, 0.25, 0.125],
+)
 def test_both_ways_give_the_same(config: GyroConfig, given_faults: list[FaultConfig], rates: list[float]) -> None:
     """Rates, statuses, silence and truth, bit for bit, through onsets and ends of faults and rates out of range."""
     usual, each = make_gyro(config, given_faults), make_gyro(config, given_faults)
