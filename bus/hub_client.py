@@ -65,8 +65,7 @@ class HubClient:
 
         Waits for a hub that is behind, up to SEND_PATIENCE_S; what it does not take by then is counted in tx_failed.
         """
-        size = len(batch)
-        if size % FRAME_SIZE:
+        if len(batch) % FRAME_SIZE:
             check_batch(batch)
         for part in cut_datagrams(batch):
             self._send_part(part)

@@ -51,8 +51,7 @@ class HubHost:
 
     def send(self, batch: bytes) -> None:
         """Put the frames on the bus, in order. Never waits. Raises ValueError unless the batch is whole frames."""
-        size = len(batch)
-        if size % FRAME_SIZE:
+        if len(batch) % FRAME_SIZE:
             check_batch(batch)
         if self._closed:
             raise BusLostError(f"{self.address}: {self.node} has left this bus")

@@ -183,7 +183,7 @@ class Link:
 
     def write_tick(self, tick: int, t_ns: int, records: bytes) -> None:
         """Hand over the Message records of one tick, ready made."""
-        raise NotImplementedError
+        self._write_ticks([(tick, t_ns)], [records])
 
     def write_json(self, topic: str, t_ns: int, payload: bytes) -> None:
         """Hand over one JSON object for a topic of bus.events; it is filed behind the tick written next."""
@@ -241,10 +241,6 @@ class TelemetryLink(Link):
             pieces += HEADER.pack(MAGIC, TICK, self._source, len(data), tick, t_ns), data
         self._last_tick = tick
         self._send(b"".join(pieces), self._blocking)
-
-    def write_tick(self, tick: int, t_ns: int, records: bytes) -> None:
-        self._last_tick = tick
-        self._send(HEADER.pack(MAGIC, TICK, self._source, len(records), tick, t_ns) + records, self._blocking)
 
     def write_json(self, topic: str, t_ns: int, payload: bytes) -> None:
         text = topic.encode() + b"\0" + payload
@@ -330,9 +326,6 @@ class MemoryLink(Link):
 
     def _write_ticks(self, rows: list[Row], records: list[bytes]) -> None:
         self._sink.write_ticks(self._source, list(map(TICK_OF, rows)), rows[-1][1], records)
-
-    def write_tick(self, tick: int, t_ns: int, records: bytes) -> None:
-        self._sink.write_ticks(self._source, [tick], t_ns, [records])
 
     def write_json(self, topic: str, t_ns: int, payload: bytes) -> None:
         self.flush()

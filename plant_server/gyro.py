@@ -76,7 +76,7 @@ def fill_preset(config: GyroConfig) -> GyroPreset:
 class AxisNoise:
     """White noise and wandering bias of one axis, made a block at a time from the axis's own stream."""
 
-    __slots__ = ("_decay", "_drive", "_instability", "_stream", "_terms", "_turn_on", "_walk", "_walk_step", "_white")
+    __slots__ = ("_decay", "_drive", "_instability", "_stream", "_turn_on", "_walk", "_walk_step", "_white")
 
     def __init__(self, terms: GyroPreset, turn_on_rad_s: float, dt_s: float, seed: int, unit: str) -> None:
         self._stream = open_stream(seed, unit)

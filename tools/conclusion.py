@@ -69,7 +69,7 @@ def conclude(resolved: Resolved, report: RunReport, draw: bool = True) -> Conclu
     result = Conclusion(resolved.scenario.name, report)
     try:
         run = read_run(report.log)
-        if report.exit_code and not ("/truth/attitude" in run.topics and run.t_ns("/truth/attitude").size):
+        if report.exit_code and not run.has("/truth/attitude"):
             return result
         result.figures = _sum_up(run, resolved, report)
         result.grade = grade_run(run, resolved)
@@ -95,7 +95,7 @@ def _sum_up(run: Run, resolved: Resolved, report: RunReport) -> dict[str, Any]:
     if report.memory_mb:
         both = sum(mb for name, mb in report.memory_mb.items() if name != "recorder")
         figures["peak memory, plant + flight software"] = f"{both:.0f} MB"
-    if "/truth/attitude" in run.topics and run.t_ns("/truth/attitude").size:
+    if run.has("/truth/attitude"):
         error_deg = run.signals("/truth/attitude")["error_deg"]
         t_s = run.t_ns("/truth/attitude") * 1e-9
         for bound in (5.0, 1.0, 0.1, 0.01):
@@ -130,7 +130,7 @@ def _sum_up_bus(report: RunReport) -> dict[str, Any]:
 
 
 def _sum_up_executive(run: Run, resolved: Resolved) -> dict[str, Any]:
-    if "/fsw/timing" not in run.topics or not run.t_ns("/fsw/timing").size:
+    if not run.has("/fsw/timing"):
         return {}
     timing = run.signals("/fsw/timing")
     figures: dict[str, Any] = {}

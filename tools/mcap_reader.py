@@ -63,6 +63,10 @@ class Run:
             for channel in np.unique(channels).tolist():
                 self._rows.setdefault(channel, []).append((number, np.flatnonzero(channels == channel)))
 
+    def has(self, topic: str) -> bool:
+        """Whether there is any message of the topic."""
+        return topic in self.topics and self.t_ns(topic).size > 0
+
     def t_ns(self, topic: str) -> NDArray[np.int64]:
         """Log time of every record of the topic [ns]."""
         stretches = self._content.stretches

@@ -25,7 +25,7 @@ def draw_run(run: Run, resolved: Resolved, path: Path) -> Path:
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    if "/truth/attitude" not in run.topics or not run.t_ns("/truth/attitude").size:
+    if not run.has("/truth/attitude"):
         raise RecordError(f"{path.with_suffix('.mcap')}: no truth is logged, so there is nothing to draw")
     figure, axes = plt.subplots(4, 1, sharex=True, figsize=(11, 11), layout="constrained")
     scenario = resolved.scenario

@@ -92,17 +92,12 @@ class _Supervisor:
     def run(self) -> RunReport:
         progress_in, progress_out = make_pipe()
         try:
-            try:
-                self._start(progress_out)
-            finally:
-                os.close(progress_out)
-            self._watch(progress_in)
+            if self._try_start(progress_out):
+                self._watch(progress_in)
         except Interrupted as interruption:
             number = int(interruption.args[0])
             self._report.exit_code = 128 + number
             self._report.problems.append(f"interrupted by {signal.Signals(number).name}; the log is closed properly")
-        except OSError as error:  # no process, no descriptor, no room on the disk: nothing has flown
-            self._report.problems.append(f"cannot start the run: {error}; free some of it and start again")
         finally:
             self._end()
             self._read_progress(progress_in)  # the last words of the two sides
@@ -111,6 +106,17 @@ class _Supervisor:
         return self._report
 
     # -- starting --------------------------------------------------------------------------------------------------
+
+    def _try_start(self, progress_out: int) -> bool:
+        """Start the three; False when the system has no process, no descriptor or no room on the disk for one of them."""
+        try:
+            self._start(progress_out)
+        except OSError as error:
+            self._report.problems.append(f"cannot start the run: {error}; free some of it and start again")
+            return False
+        finally:
+            os.close(progress_out)
+        return True
 
     def _start(self, progress_out: int) -> None:
         plant_in, plant_out = make_pipe()
@@ -160,7 +166,7 @@ class _Supervisor:
             elif now_s - self._last_progress_s > STILL_S:
                 self._report.problems.append(f"nothing moved for {STILL_S:g} s at tick {self._report.ticks}")
                 break
-        self._judge(processes)
+        self._judge()
 
     def _read_progress(self, fd: int) -> None:
         if not select.select([fd], [], [], POLL_S)[0]:
@@ -182,14 +188,14 @@ class _Supervisor:
             else:
                 self._report.details |= what
 
-    def _judge(self, processes: list[Process]) -> None:
+    def _judge(self) -> None:
         """Say who failed, the most telling first: who was killed or hangs, then the recorder, whose end ends the others."""
         report = self._report
-        if all(process.code == 0 for process in processes):
+        bad = [process for process in (*self._recorders, *self._sides) if process.code != 0]
+        if not bad:
             report.exit_code = 0
             report.ticks = self._resolved.ticks
             return
-        bad = [process for process in (*self._recorders, *self._sides) if process.code != 0]
         bad.sort(key=lambda process: (process.code is not None, process.code if process.code is not None else 0))
         said: set[str] = set()  # without the name ahead of it: what both sides say is said once
         for process in bad:

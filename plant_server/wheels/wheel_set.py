@@ -126,9 +126,7 @@ class WheelSet:
         self.reach_rad_s = min(w1.reach, w2.reach, w3.reach, w4.reach) if self._simple else -1.0
 
     def look(self, step: int) -> None:
-        """Bring the faults up to date for the integration step `step`."""
-        if step < self.next_look:
-            return
+        """Bring the faults up to date for the integration step `step`: due once that reaches `next_look`."""
         t_s = (step + 0.5) * self._step_s
         wheels = a, b, c, d = self._wheels
         rising = [wheel.update_faults(step, t_s) for wheel in wheels]

@@ -140,6 +140,20 @@ def test_a_process_that_cannot_be_started_ends_the_run(
     assert len(os.listdir("/proc/self/fd")) == descriptors
 
 
+def test_what_fails_once_the_run_has_begun_is_not_called_a_failed_start(tmp_path: Path) -> None:
+    """Whoever reads the progress has gone: the caller gets that error itself, no process is left, the log is whole."""
+    resolved = load_scenario(find_scenario("zhang2018"), ["duration_s=3000", "expect=[]"])
+
+    def show(tick: int) -> None:
+        raise BrokenPipeError(errno.EPIPE, os.strerror(errno.EPIPE))
+
+    descriptors = len(os.listdir("/proc/self/fd"))
+    with pytest.raises(BrokenPipeError):
+        runner.run_processes(resolved, tmp_path, show)
+    assert len(os.listdir("/proc/self/fd")) == descriptors
+    assert read_run(tmp_path / "run.mcap").complete
+
+
 @pytest.mark.parametrize(("error", "reason"), [(KeyboardInterrupt(), "interrupted"), (StepSizeError("no"), "failed")])
 def test_the_ticks_before_an_end_in_process_are_in_the_log(error: BaseException, reason: str, tmp_path: Path) -> None:
     """Ctrl-C, or an algorithm that gives up, at tick 100: the log is whole and ends with that tick, on both sides."""
