@@ -56,7 +56,7 @@ coverage: $(STAMP)
 coverage-gate: $(STAMP)
 	$(BIN)/python -m pytest -q tests/unit/test_executive.py tests/unit/test_modes.py tests/unit/test_e2e.py \
 	  tests/property/test_codec.py tests/property/test_usual_batch.py tests/property/test_cycle_fuzz.py \
-	  --cov=fsw.executive --cov=fsw.schedule --cov=fsw.modes --cov=bus.icd_codec --cov=bus.e2e \
+	  --cov=fsw.executive --cov=fsw.schedule --cov=fsw.modes --cov=bus.icd.codec --cov=bus.icd.e2e \
 	  --cov-branch --cov-report=term-missing --cov-fail-under=100
 
 clean:

@@ -13,8 +13,8 @@ from dataclasses import asdict
 from types import FrameType
 
 from bus.errors import HilsatError
-from bus.telemetry import Link
-from bus.transport import Transport
+from bus.telemetry.link import Link
+from bus.wire.transport import Transport
 
 MEETING_PATIENCE_S = 10.0  # how long a side waits for the other to come
 PROGRESS_EVERY_S = 0.2

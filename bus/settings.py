@@ -7,77 +7,26 @@ with the standard library only, so that the flight software checks its own setti
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import json
 import math
 import types
 import typing
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, TypeVar, Union
+from typing import Annotated, Any, Literal, TypeVar, Union
 
 from annotated_types import Ge, Gt, Le, Lt
 
 from bus.errors import ConfigError
-from bus.units import Seconds, Unit
+from bus.units import Unit
+from bus.words import describe, nearest
 
 T = TypeVar("T")
 KeyPath = tuple[str | int, ...]
 
-# What decides the bytes of a run. Bus, clock mode and grading may differ between runs of the same bytes.
-HASHED_KEYS = ("seed", "duration_s", "plant", "faults", "fsw")
-
 INVALID: Any = object()  # stands for a value that could not be built
-NOTHING: Any = object()
-STRICT: dict[str, Any] = {"extra": "forbid", "allow_inf_nan": False}
-
-
-# -- what both processes are told about the run --------------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ClockConfig:
-    """Who waits for whom, and how often the loop turns."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
-
-    mode: Literal["lockstep", "realtime", "inprocess"] = "lockstep"  # realtime: nobody waits; inprocess: no bus
-    tick_hz: Annotated[int, Unit("Hz"), Ge(1), Le(1000)] = 100  # the period must be whole nanoseconds
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BusConfig:
-    """The bus that the two sides meet on."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
-
-    address: str = "hub:"  # hub: (a fresh private directory), hub:<dir>, socketcan:vcan0, memory:, ...
-    bitrate_bps: Annotated[int, Unit("bit/s"), Ge(10_000), Le(1_000_000)] = 500_000  # the load is checked against this
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RunConfig:
-    """The part of a scenario that both sides get: key `run` of the file each process is started with."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
-
-    name: str
-    seed: Annotated[int, Ge(0)]
-    duration_s: Annotated[Seconds, Gt(0)]
-    clock: ClockConfig = field(default_factory=ClockConfig)
-    bus: BusConfig = field(default_factory=BusConfig)
-    run_hash: Annotated[int, Ge(0), Le(0xFFFFFFFF)]
-
-    @property
-    def tick_ns(self) -> int:
-        """Period of the loop [ns]."""
-        return 1_000_000_000 // self.clock.tick_hz
-
-    @property
-    def ticks(self) -> int:
-        """Number of ticks of the whole run."""
-        return round(self.duration_s * self.clock.tick_hz)
+NOTHING: Any = object()  # stands for the default of a field that has none
 
 
 # -- building ------------------------------------------------------------------------------------------------------
@@ -133,23 +82,13 @@ def build_file(cls: type[T], path: Path) -> T:
 
 def plain(value: Any) -> Any:
     """The same value in JSON types: dataclasses become mappings, tuples become lists. The inverse of `build`."""
+    if hasattr(value, "plain_settings"):
+        return value.plain_settings()
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return {f.name: plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
     if isinstance(value, tuple | list):
         return [plain(item) for item in value]
     return value
-
-
-def run_hash(resolved: dict[str, Any]) -> int:
-    """Number (u32) that two peers must agree on: it stands for everything that decides the bytes of the run.
-
-    First four bytes, little endian, of the SHA-256 over seed, duration, tick rate, plant, faults and flight software.
-    Bus, clock mode, recording and grading do not count: the same bytes flow on every bus.
-    """
-    counted = {key: resolved[key] for key in HASHED_KEYS}
-    counted["tick_hz"] = resolved["clock"]["tick_hz"]
-    text = json.dumps(counted, sort_keys=True, separators=(",", ":"), allow_nan=False)
-    return int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "little")
 
 
 def join_key(path: KeyPath) -> str:
@@ -231,6 +170,8 @@ def _read(kind: Any, data: object, at: KeyPath, out: Reading, notes: tuple[Any, 
         value = _read_tagged(members, data, at, out)
     elif members[0] is not kind:
         return _read(members[0], data, at, out, notes)
+    elif hasattr(kind, "read_settings"):  # a class that knows its own keys, see `read_keys`
+        value = kind.read_settings(data, at, out)
     elif dataclasses.is_dataclass(kind):
         value = _read_mapping(typing.cast(type, kind), data, at, out)
     elif typing.get_origin(kind) is tuple:
@@ -245,9 +186,19 @@ def _read(kind: Any, data: object, at: KeyPath, out: Reading, notes: tuple[Any, 
 
 
 def _read_mapping(cls: type, data: object, at: KeyPath, out: Reading) -> Any:
+    values = read_keys(fields_of(cls), data, at, out)
+    return cls(**values) if all(value is not INVALID for value in values.values()) else INVALID
+
+
+def read_keys(known: dict[str, tuple[Any, Any]], data: object, at: KeyPath, out: Reading) -> dict[str, Any]:
+    """The value of every known key of a mapping (as `fields_of` lists them), INVALID where it is not sound.
+
+    For classes whose keys are not those of one dataclass: such a class has a class method `read_settings(data, at, out)`
+    that returns an instance or INVALID, and `plain_settings()`, its inverse.
+    """
     if not isinstance(data, dict):
-        return out.add(at, f"{describe(data)} where a mapping is needed, with the keys {', '.join(fields_of(cls))}")
-    known = fields_of(cls)
+        out.add(at, f"{describe(data)} where a mapping is needed, with the keys {', '.join(known)}")
+        return dict.fromkeys(known, INVALID)
     meant = set()
     for key in data:
         if key not in known:
@@ -266,9 +217,7 @@ def _read_mapping(cls: type, data: object, at: KeyPath, out: Reading) -> Any:
             if name not in meant:
                 unit = unit_of(strip_annotations(kind)[1])
                 out.add((*at, name), "is missing" + (f" [{unit}]" if unit else ""), at_key=True)
-    if any(value is INVALID for value in values.values()):
-        return INVALID
-    return cls(**values)
+    return values
 
 
 def _read_tagged(members: tuple[Any, ...], data: object, at: KeyPath, out: Reading) -> Any:
@@ -357,31 +306,6 @@ def _note_parts(value: Any, at: KeyPath, out: Reading) -> None:
 
 
 # -- words of messages ---------------------------------------------------------------------------------------------
-
-
-def describe(data: object) -> str:
-    """A value as a message shows it, short."""
-    if data is None:
-        return "nothing"
-    if isinstance(data, bool):
-        return "true" if data else "false"
-    if isinstance(data, str):
-        return json.dumps(data if len(data) <= 40 else data[:37] + "...", ensure_ascii=False)
-    if isinstance(data, dict):
-        return "a mapping"
-    if isinstance(data, list | tuple):
-        return "a list"
-    if isinstance(data, int) and abs(data) >= 10**20:
-        return "a huge number"
-    return repr(data)
-
-
-def nearest(word: str, known: typing.Iterable[str]) -> str | None:
-    """The known word most like this one, None when none is close."""
-    import difflib
-
-    matches = difflib.get_close_matches(word, list(known), 1, 0.6)
-    return matches[0] if matches else None
 
 
 def _say_unknown(guess: str | None, known: dict[str, tuple[Any, Any]]) -> str:

@@ -7,12 +7,13 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from bus.address import open_transport
 from bus.clock import claim_realtime
 from bus.process import MEETING_PATIENCE_S, Progress, last_word, run_process
-from bus.settings import RunConfig, build_file
-from bus.telemetry import TelemetryLink
-from bus.transport import Transport
+from bus.run import RunConfig
+from bus.settings import build_file
+from bus.telemetry.link import TelemetryLink
+from bus.wire.address import open_transport
+from bus.wire.transport import Transport
 from fsw.config import FswConfig
 from fsw.executive import Executive, Watchdog
 from fsw.flight import Flight

@@ -6,18 +6,14 @@ The flight software has its own idea of the satellite (inertia, wheel axes, limi
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Literal
 
 from bus.units import Ge, Gt, Le, Mat3, NonNegative, Positive, RadS, Seconds, Unit, Vec3, Vec4
-
-STRICT: dict[str, Any] = {"extra": "forbid", "allow_inf_nan": False}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ModelConfig:
     """What the flight software believes about the satellite."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
 
     inertia_kgm2: Annotated[Mat3, Unit("kg m^2")]
     wheel_max_torque_nm: Annotated[float, Unit("N m"), Gt(0)] = 0.1
@@ -33,16 +29,12 @@ class ModelConfig:
 class DirectConfig:
     """Star-tracker attitude carried forward with the gyro rate; no filtering. For ideal sensors."""
 
-    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
-
     kind: Literal["direct"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MekfConfig:
     """Multiplicative extended Kalman filter with gyro bias states (Lefferts, Markley & Shuster 1982)."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
 
     kind: Literal["mekf"]
     gyro_arw_rad_sqrt_s: Positive = 2.91e-5
@@ -60,8 +52,6 @@ class MekfConfig:
 class NoDetectorConfig:
     """No fault detection: the estimate passes through."""
 
-    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
-
     kind: Literal["none"]
 
 
@@ -71,8 +61,6 @@ class Wang2010DetectorConfig:
 
     Gyro alone and open loop at heart: it holds only while torque, inertia and wheel momentum are known.
     """
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
 
     kind: Literal["wang2010"]
     observer: Literal["linear", "ts_a", "ts_b", "ts_bx", "static"] = "ts_b"
@@ -85,8 +73,6 @@ class Wang2010DetectorConfig:
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PracticalDetectorConfig:
     """Gyro and wheel faults told apart with star tracker and wheel speeds. See docs/gyro-fdi.md, section 3."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
 
     kind: Literal["practical"]
     observer: Literal["linear", "ts_b", "ts_bx", "static"] = "static"  # residual that serves without a star tracker
@@ -123,16 +109,12 @@ class PracticalDetectorConfig:
 class NoObserverConfig:
     """No fault-torque estimate (zeros)."""
 
-    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
-
     kind: Literal["none"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class IloConfig:
     """Iterative learning observer, Zhang, Ye & Sun 2018, eqs (12)-(13). Gains belong to `period_s`."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
 
     kind: Literal["ilo"]
     period_s: Annotated[Seconds, Gt(0)] = 0.1
@@ -149,8 +131,6 @@ class IloConfig:
 class SmcConfig:
     """Sliding-mode law with adaptive surface slope, Zhang, Ye & Sun 2018, eqs (33)-(35)."""
 
-    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
-
     kind: Literal["smc"]
     k1: Positive = 5.6  # [N m s/rad]; k2 = 1/k1
     mu: Positive = 2.0
@@ -162,8 +142,6 @@ class SmcConfig:
 class VariableStructureConfig:
     """Saturated variable-structure law, tau_rw = -tau_max sat(D0^T s / epsilon), s = w + k q (a baseline)."""
 
-    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
-
     kind: Literal["variable_structure"]
     k: Positive = 0.12  # [rad/s]
     epsilon: Positive = 0.003  # boundary layer [rad/s]
@@ -172,8 +150,6 @@ class VariableStructureConfig:
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BrakingProfileConfig:
     """Sliding surface along a braking profile, s = w - w_d(theta); its margin adapts to what the wheels give."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
 
     kind: Literal["braking_profile"]
     eta: Annotated[float, Gt(0), Le(1)] = 0.9  # share of the braking authority planned on, close to the target [1]
@@ -195,8 +171,6 @@ class BrakingProfileConfig:
 class PseudoInverseConfig:
     """tau_rw = D0^T (D0 D0^T)^-1 tau, then limited per wheel (`clip`) or scaled as a whole (`direction`)."""
 
-    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
-
     kind: Literal["pseudo_inverse"]
     saturation: Literal["clip", "direction"] = "clip"
 
@@ -208,8 +182,6 @@ class PseudoInverseConfig:
 class ExecutiveConfig:
     """Rates and what to do when a cycle is late. The base rate is the run's tick rate."""
 
-    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
-
     control_divider: Annotated[int, Ge(1)] = 1  # observe, guide, control, allocate every n-th tick
     overrun: Literal["skip", "catch_up", "degrade", "safe"] = "skip"
     max_consecutive_slips: Annotated[int, Ge(1)] = 50  # past this the run ends as an infrastructure failure
@@ -219,8 +191,6 @@ class ExecutiveConfig:
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ModesConfig:
     """When to change mode."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
 
     initial: Literal["standby", "detumble", "point", "safe"] = "point"  # entered once sensors are valid
     detumble_above_deg_s: Annotated[float, Unit("deg/s"), Gt(0)] = 5.0
@@ -241,8 +211,6 @@ AllocatorConfig = PseudoInverseConfig
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FswConfig:
     """Everything the flight software needs beside the clock and the bus."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
 
     model: ModelConfig
     target_q: Vec4 = (1.0, 0.0, 0.0, 0.0)  # attitude to reach, q_it, scalar first; normalised when read

@@ -6,16 +6,16 @@ from __future__ import annotations
 
 import math
 
-from bus.telemetry import Row
+from bus.telemetry.link import Row
 from bus.units import Vec3, Vec4
-from fsw import allocators, controllers, estimation, fdi, observers
+from fsw import allocators, controllers, estimation, gyro_fdi, observers
 from fsw.config import FswConfig
 from fsw.executive import ExecutiveCounters
 from fsw.guidance import Guidance
 from fsw.inputs import Inputs
-from fsw.interfaces import Demand, Estimate, Sensors
 from fsw.modes import POINT, STANDBY, Mode, ModeManager
 from fsw.outputs import Outputs
+from fsw.records import Demand, Estimate, Sensors
 from fsw.schedule import RateGroup, flight_schedule
 from fsw.wheel_axes import combine_wheels
 
@@ -35,7 +35,7 @@ class Flight:
         self.modes = ModeManager(config.modes)
         self.executive = ExecutiveCounters()
         self.estimator = estimation.REGISTRY[config.estimator.kind](config.estimator, model, tick_s)
-        self.detector = fdi.REGISTRY[config.detector.kind](config.detector, model, tick_s)
+        self.detector = gyro_fdi.REGISTRY[config.detector.kind](config.detector, model, tick_s)
         self.observer = observers.REGISTRY[config.observer.kind](config.observer, model)
         self.controller = controllers.REGISTRY[config.controller.kind](config.controller, model)
         self.allocator = allocators.REGISTRY[config.allocator.kind](config.allocator, model)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bus.telemetry import Link, Row, TickPacker, announce_topics, stamp
+from bus.telemetry.link import Link, Row, TickPacker, announce_topics, stamp
 from fsw.flight import Flight
 from fsw.modes import Mode
 from fsw.telemetry import FIRST_CHANNEL, TICK_TOPICS, make_control_topics, make_flattener

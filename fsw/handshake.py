@@ -12,9 +12,9 @@ from __future__ import annotations
 import time
 
 from bus.errors import PeerLostError, UsageError
-from bus.frames import FRAME
-from bus.icd_codec import decode_HEARTBEAT_PLANT
-from bus.transport import Transport
+from bus.icd.codec import decode_HEARTBEAT_PLANT
+from bus.wire.frames import FRAME
+from bus.wire.transport import Transport
 from fsw.inputs import HEARTBEAT_PLANT_ID
 from fsw.outputs import STATE_BOOT, STATE_OPERATIONAL, STATE_STOPPED, Outputs
 

@@ -14,12 +14,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from bus.e2e import Link, LinkGroup, part_group
-from bus.frames import FRAME
-from bus.icd_codec import DECODERS, SENSORS_SIZE, decode_sensors
+from bus.icd.codec import DECODERS, SENSORS_SIZE, decode_sensors
+from bus.icd.e2e import Link, LinkGroup, part_group
 from bus.units import Vec3, Vec4
+from bus.wire.frames import FRAME
 from fsw.config import FswConfig
-from fsw.interfaces import Sensors
+from fsw.records import Sensors
 
 Values = tuple[int | float, ...]  # (counter, high nibble, payload...) as the decoder returns them
 Handler = Callable[[Values], None]

@@ -7,9 +7,9 @@ from struct import Struct
 
 from bus.clock import PEER_TIMEOUT_S, QUIET_S
 from bus.errors import PeerLostError
-from bus.frames import FRAME_SIZE
-from bus.icd_codec import decode_SYNC
-from bus.transport import Transport
+from bus.icd.codec import decode_SYNC
+from bus.wire.frames import FRAME_SIZE
+from bus.wire.transport import Transport
 from fsw.flight import Flight
 from fsw.flight_log import FlightLog
 from fsw.handshake import plant_stopped

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bus.icd_codec import encode_commands, encode_CYCLE_DONE, encode_HEARTBEAT_FSW, encode_rw_cmds
+from bus.icd.codec import encode_commands, encode_CYCLE_DONE, encode_HEARTBEAT_FSW, encode_rw_cmds
 from bus.units import Vec4
 
 COUNTER_PERIOD = 15  # alive counters run 0..14

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bus.clock import PEER_TIMEOUT_S, SystemClock
 from bus.errors import PeerLostError
-from bus.transport import Transport
+from bus.wire.transport import Transport
 from fsw.executive import Executive, Watchdog
 from fsw.flight import Flight
 from fsw.flight_log import FlightLog

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from bus.telemetry import Field, Topic
+from bus.telemetry.link import Field, Topic
 
 FIRST_CHANNEL = 101
 SOURCE = 2  # which stream of the recorder this process writes

@@ -8,20 +8,21 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from bus.address import open_transport
 from bus.clock import claim_realtime
 from bus.process import MEETING_PATIENCE_S, Progress, last_word, run_process
-from bus.settings import RunConfig, build_file
-from bus.telemetry import TelemetryLink
-from bus.transport import Transport
+from bus.run import RunConfig
+from bus.settings import build_file
+from bus.telemetry.link import TelemetryLink
 from bus.units import Vec4
+from bus.wire.address import open_transport
+from bus.wire.transport import Transport
+from plant_server.channel import STATE_FAILED, STATE_STOPPED, PlantServer
 from plant_server.config import FaultConfig, PlantConfig
 from plant_server.handshake import meet_fsw
 from plant_server.lockstep import LockStep
 from plant_server.plant import Plant
+from plant_server.plant_log import PlantLog
 from plant_server.realtime import RealTime
-from plant_server.server import STATE_FAILED, STATE_STOPPED, PlantServer
-from plant_server.telemetry import PlantLog
 from plant_server.truth import SOURCE
 
 

@@ -6,18 +6,14 @@ Keys carry their unit. Angles are given in degrees where people think in degrees
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Literal
 
 from bus.units import Deg, Ge, Gt, KgM2, Le, Mat3, NewtonMetre, NonNegative, Positive, RadS, Seconds, Unit, Vec3, Vec4
-
-STRICT: dict[str, Any] = {"extra": "forbid", "allow_inf_nan": False}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BodyConfig:
     """Rigid body and where it starts."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
 
     inertia_kgm2: Annotated[Mat3, Unit("kg m^2")]  # body axes, without the rotors' own about their spin axes
     attitude_q: Vec4 = (1.0, 0.0, 0.0, 0.0)  # q_ib at t = 0, scalar first; normalised when read
@@ -28,8 +24,6 @@ class BodyConfig:
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WheelConfig:
     """One reaction wheel. Nominal axis `mount`, true axis tilted and clocked (Zhang, Ye & Sun 2018, eq (3), exact form)."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
 
     mount: Literal["x", "y", "z", "skew"]
     tilt_deg: Deg = 0.0  # delta alpha
@@ -49,8 +43,6 @@ class WheelConfig:
 class GyroConfig:
     """Fiber-optic gyro triad. `preset` fills the noise terms; a term given beside it wins. See docs/plant.md."""
 
-    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
-
     preset: Literal["ideal", "space", "tactical"] = "ideal"
     arw_rad_sqrt_s: NonNegative | None = None  # angle random walk N [rad/sqrt(s)]
     bias_instability_rad_s: NonNegative | None = None  # B [rad/s]
@@ -68,8 +60,6 @@ class GyroConfig:
 class StarTrackerConfig:
     """Star tracker: attitude with noise, at its own rate, late by its latency, blind above a rate limit."""
 
-    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
-
     rate_hz: Annotated[float, Unit("Hz"), Gt(0)] = 10.0  # the tick rate must be a whole multiple
     noise_arcsec: Annotated[Vec3, Unit("arcsec")] = (0.0, 0.0, 0.0)  # 1 sigma about body x, y, z per frame
     latency_s: Annotated[Seconds, Ge(0)] = 0.0  # whole ticks; frames carry the SYNC count of the measurement
@@ -81,8 +71,6 @@ class StarTrackerConfig:
 class ExclusionConfig:
     """No attitude while the boresight is within `angle_deg` of a bright body fixed in inertial space."""
 
-    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
-
     boresight_b: Vec3 = (0.0, 0.0, 1.0)
     direction_i: Vec3 = (1.0, 0.0, 0.0)
     angle_deg: Annotated[Deg, Gt(0), Le(180)] = 30.0
@@ -92,8 +80,6 @@ class ExclusionConfig:
 class ConstantTorque:
     """External torque, constant in body axes."""
 
-    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
-
     kind: Literal["constant"]
     torque_nm: Annotated[Vec3, Unit("N m")]
 
@@ -101,8 +87,6 @@ class ConstantTorque:
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SinusoidalTorque:
     """External torque a_i sin(2 pi t / period + phase_i), body axes."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
 
     kind: Literal["sinusoidal"]
     amplitude_nm: Annotated[Vec3, Unit("N m")]
@@ -113,8 +97,6 @@ class SinusoidalTorque:
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GravityGradient:
     """Gravity gradient of a circular orbit in the inertial x-y plane, starting on +x."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
 
     kind: Literal["gravity_gradient"]
     altitude_km: Annotated[float, Unit("km"), Gt(100)] = 500.0
@@ -130,8 +112,6 @@ class FaultConfig:
     Which of the magnitudes a kind needs, and what they mean, is in plant_server/faults.py (`CATALOGUE`); any other
     one given is an error. Faults of one unit compose in the order of their onset; none replaces another.
     """
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
 
     unit: str  # wheel.1 .. wheel.4, gyro.x .. gyro.z, gyro (all axes), star_tracker
     kind: str  # see CATALOGUE
@@ -151,8 +131,6 @@ class FaultConfig:
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlantConfig:
     """Everything the plant needs beside the clock and the bus."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
 
     step_s: Annotated[Seconds, Gt(0), Le(0.1)] = 0.01  # integration step; the tick must be a whole multiple
     body: BodyConfig

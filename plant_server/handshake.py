@@ -5,8 +5,8 @@ from __future__ import annotations
 import time
 
 from bus.errors import PeerLostError, UsageError
-from bus.transport import Transport
-from plant_server.server import STATE_OPERATIONAL, STATE_PRE_OPERATIONAL, PlantServer
+from bus.wire.transport import Transport
+from plant_server.channel import STATE_OPERATIONAL, STATE_PRE_OPERATIONAL, PlantServer
 
 
 def meet_fsw(transport: Transport, server: PlantServer, run_hash: int, patience_s: float) -> None:

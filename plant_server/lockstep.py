@@ -7,9 +7,9 @@ from collections.abc import Callable
 
 from bus.clock import PEER_TIMEOUT_S, QUIET_S
 from bus.errors import PeerLostError
-from bus.transport import Transport
-from plant_server.server import PlantServer
-from plant_server.telemetry import PlantLog
+from bus.wire.transport import Transport
+from plant_server.channel import PlantServer
+from plant_server.plant_log import PlantLog
 
 
 class LockStep:

@@ -9,9 +9,9 @@ import time
 from collections.abc import Callable
 
 from bus.errors import DeadlineError
-from bus.transport import Transport
-from plant_server.server import PlantServer
-from plant_server.telemetry import PlantLog
+from bus.wire.transport import Transport
+from plant_server.channel import PlantServer
+from plant_server.plant_log import PlantLog
 
 MAX_LATENESS_S = 2.0  # past this, physics and wall clock have parted and the run is void
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bus.telemetry import Field, TickPacker, Topic
+from bus.telemetry.link import Field, TickPacker, Topic
 from plant_server.plant import TRUTH_FIELDS
 
 FRAMES_CHANNEL = 1

@@ -11,7 +11,7 @@ import os
 import pytest
 from hypothesis import settings
 
-from bus.can_link import find_link, kernel_has_can
+from bus.wire.can_link import find_link, kernel_has_can
 
 # A loaded machine is no reason to fail, so no example has a deadline.
 settings.register_profile("fresh", deadline=None)

@@ -7,7 +7,7 @@ from typing import Any
 
 from fsw.allocators.pseudo_inverse import PseudoInverse
 from fsw.config import ModelConfig
-from fsw.interfaces import Allocator
+from fsw.records import Allocator
 
 # kind in the settings -> factory(config, model)
 REGISTRY: dict[str, Callable[[Any, ModelConfig], Allocator]] = {

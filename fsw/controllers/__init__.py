@@ -9,7 +9,7 @@ from fsw.config import ModelConfig
 from fsw.controllers.braking_profile import BrakingProfile
 from fsw.controllers.smc import SlidingMode
 from fsw.controllers.variable_structure import VariableStructure
-from fsw.interfaces import Controller
+from fsw.records import Controller
 
 # kind in the settings -> factory(config, model)
 REGISTRY: dict[str, Callable[[Any, ModelConfig], Controller]] = {

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from bus.units import Vec3, Vec4
 from fsw.config import BrakingProfileConfig, ModelConfig
-from fsw.interfaces import Demand
+from fsw.records import Demand
 from fsw.wheel_axes import S, combine_wheels
 
 NO_TORQUE: Vec4 = (0.0, 0.0, 0.0, 0.0)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from bus.units import Vec3, Vec4
 from fsw.config import ModelConfig, SmcConfig
-from fsw.interfaces import Demand
+from fsw.records import Demand
 
 ZERO: Vec3 = (0.0, 0.0, 0.0)
 BETA_MIN = 1e-3  # the proof needs a positive slope; far below the 0.18..0.4 that the laws settle at

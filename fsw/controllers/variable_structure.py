@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from bus.units import Vec3, Vec4
 from fsw.config import ModelConfig, VariableStructureConfig
-from fsw.interfaces import Demand
+from fsw.records import Demand
 from fsw.wheel_axes import combine_wheels, project_on_wheels
 
 

@@ -8,7 +8,7 @@ from typing import Any
 from fsw.config import DirectConfig, ModelConfig
 from fsw.estimation.direct import Direct
 from fsw.estimation.mekf import Mekf
-from fsw.interfaces import Estimator
+from fsw.records import Estimator
 
 
 def _make_direct(config: DirectConfig, model: ModelConfig, tick_s: float) -> Direct:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from bus.units import Vec3, Vec4
 from fsw.config import DirectConfig, ModelConfig
 from fsw.estimation.rotation import turn
-from fsw.interfaces import Estimate, Sensors
+from fsw.records import Estimate, Sensors
 
 ZERO: Vec3 = (0.0, 0.0, 0.0)
 IDENTITY: Vec4 = (1.0, 0.0, 0.0, 0.0)

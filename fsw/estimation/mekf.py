@@ -15,7 +15,7 @@ from bus.attitude import conjugate, dcm_from_quaternion, log_map, multiply, norm
 from bus.units import Mat3, Vec3, Vec4
 from fsw.config import MekfConfig, ModelConfig
 from fsw.estimation.rotation import turn
-from fsw.interfaces import Estimate, Sensors
+from fsw.records import Estimate, Sensors
 
 _ARCSEC = math.pi / 648000.0  # rad per second of arc
 _COVARIANCE_PERIOD_S = 0.25  # the covariance is carried forward at least this often
@@ -41,7 +41,7 @@ class MekfInternals(NamedTuple):
 
 
 class Mekf:
-    """Attitude, rate and gyro bias with their covariance. Implements `fsw.interfaces.Estimator`."""
+    """Attitude, rate and gyro bias with their covariance. Implements `fsw.records.Estimator`."""
 
     def __init__(self, config: MekfConfig, model: ModelConfig, tick_s: float) -> None:
         """tick_s: period between calls of `step` [s]. The filter is kinematic: `model` is not used."""

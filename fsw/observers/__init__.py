@@ -6,9 +6,9 @@ from collections.abc import Callable
 from typing import Any
 
 from fsw.config import ModelConfig
-from fsw.interfaces import Observer
 from fsw.observers.ilo import Ilo
 from fsw.observers.none import NoObserver
+from fsw.records import Observer
 
 # kind in the settings -> factory(config, model)
 REGISTRY: dict[str, Callable[[Any, ModelConfig], Observer]] = {

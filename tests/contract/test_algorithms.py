@@ -28,7 +28,7 @@ from fsw.config import (
     SmcConfig,
     VariableStructureConfig,
 )
-from fsw.interfaces import Sensors
+from fsw.records import Sensors
 
 PERIOD_S = 0.1
 LIMIT_NM = 0.1

@@ -20,12 +20,12 @@ from typing import Any
 
 import pytest
 
-from bus.address import open_transport
 from bus.errors import BusInUseError, BusLostError
-from bus.frames import EFF_FLAG, ERR_FLAG, FRAME, FRAME_SIZE, RTR_FLAG
-from bus.hub import serve
-from bus.hub_host import HubHost
-from bus.transport import Transport
+from bus.wire.address import open_transport
+from bus.wire.frames import EFF_FLAG, ERR_FLAG, FRAME, FRAME_SIZE, RTR_FLAG
+from bus.wire.hub.host import HubHost
+from bus.wire.hub.hub import serve
+from bus.wire.transport import Transport
 
 ROOT = Path(__file__).resolve().parents[2]
 ARRIVE_S = 10.0  # a frame that has not arrived by then is lost
@@ -42,7 +42,7 @@ _serial = itertools.count()
 ECHO = """
 import sys
 from bus.errors import BusLostError
-from bus.address import open_transport
+from bus.wire.address import open_transport
 peer = open_transport(sys.argv[1], node="echo")
 peer.send(bytes.fromhex(sys.argv[2]))
 try:

@@ -15,10 +15,10 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from bus import icd_codec
-from bus.e2e import LOST, OK, Receiver
-from bus.icd import IDS, MESSAGES, Message, Signal, dbc_path
-from bus.icd_codec import DECODERS, ENCODERS
+from bus.icd import codec as icd_codec
+from bus.icd.codec import DECODERS, ENCODERS
+from bus.icd.e2e import LOST, OK, Receiver
+from bus.icd.messages import IDS, MESSAGES, Message, Signal, dbc_path
 
 DATABASE: Any = cantools.database.load_file(dbc_path())
 ALL_IDS = sorted(MESSAGES)

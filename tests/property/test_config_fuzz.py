@@ -14,12 +14,22 @@ from pydantic import TypeAdapter, ValidationError
 
 from bus.settings import Reading
 from tools.config import Scenario, examine_text, load_scenario
+from tools.config.reference import walk_classes
 
 ROOT = Path(__file__).resolve().parents[2]
 TEXTS = [path.read_text() for path in sorted((ROOT / "scenarios").glob("zhang2018*.yaml"))]
 RESOLVED = [load_scenario(path).as_dict() for path in sorted((ROOT / "scenarios").glob("*.yaml"))]
 NAME = str(ROOT / "scenarios" / "s.yaml")  # where `extends` is looked for
-ORACLE = TypeAdapter(Scenario)
+
+
+def make_oracle() -> TypeAdapter[Scenario]:
+    """pydantic over the settings classes, as strict as ours: unknown keys, NaN and infinities are errors."""
+    for _, cls in walk_classes(Scenario, ""):
+        cls.__pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}
+    return TypeAdapter(Scenario)
+
+
+ORACLE = make_oracle()
 
 SCALARS = st.one_of(
     st.none(),

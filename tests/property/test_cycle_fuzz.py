@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bus.icd_codec import DECODERS, encode_fogs, encode_rw_tlms, encode_STR_QA, encode_STR_QB, encode_SYNC
+from bus.icd.codec import DECODERS, encode_fogs, encode_rw_tlms, encode_STR_QA, encode_STR_QB, encode_SYNC
 from bus.settings import build
-from bus.telemetry import TelemetryLink
+from bus.telemetry.link import TelemetryLink
 from fsw.config import FswConfig
 from fsw.flight import Flight
 from fsw.flight_log import FlightLog

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fsw.fdi.ts_model import OPERATING_RATE_RAD_S, VERTEX_SIGNS, WEIGHTS, clip_premise, invert, make_f
+from fsw.gyro_fdi.ts_model import OPERATING_RATE_RAD_S, VERTEX_SIGNS, WEIGHTS, clip_premise, invert, make_f
 from tools.design.ts_design import INERTIAS
 
 any_rate = st.tuples(*(st.floats(-1e6, 1e6) for _ in range(3)))

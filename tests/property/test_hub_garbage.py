@@ -12,9 +12,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bus.frames import ERR_FLAG, FRAME, FRAME_SIZE, FrameFilter, drop_malformed
-from bus.hub_host import HubHost
-from bus.hub_wire import MARK, MAX_DATAGRAM, pack_control, read_filters, unpack_control
+from bus.wire.frames import ERR_FLAG, FRAME, FRAME_SIZE, FrameFilter, drop_malformed
+from bus.wire.hub.datagrams import MARK, MAX_DATAGRAM, pack_control, read_filters, unpack_control
+from bus.wire.hub.host import HubHost
 
 _serial = itertools.count()
 

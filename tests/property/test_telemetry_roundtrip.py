@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from mcap.reader import NonSeekingReader, make_reader
 from mcap_ros2.decoder import DecoderFactory
 
-from bus.cdr import PRIMITIVES
-from bus.telemetry import Field, TickPacker, Topic, announce_topics, pack_frames
-from tools.digest import compare_runs
-from tools.mcap_reader import read_run
-from tools.recorder import Recorder
+from bus.telemetry.cdr import PRIMITIVES
+from bus.telemetry.link import Field, TickPacker, Topic, announce_topics, pack_frames
+from tools.log.diff import compare_runs
+from tools.log.mcap_reader import read_run
+from tools.log.recorder import Recorder
 
 VALUES = {
     "float64": st.floats(allow_nan=False),

@@ -10,7 +10,7 @@ from typing import Any
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bus.icd_codec import (
+from bus.icd.codec import (
     DECODERS,
     decode_commands,
     decode_sensors,
@@ -30,9 +30,9 @@ from bus.icd_codec import (
 from bus.settings import build
 from fsw.config import FswConfig
 from fsw.inputs import Inputs
+from plant_server.channel import PlantServer
 from plant_server.config import PlantConfig
 from plant_server.plant import Plant
-from plant_server.server import PlantServer
 
 TICK_S = 0.1
 FSW = build(

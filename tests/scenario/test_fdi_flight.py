@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from fsw.config import ModelConfig, PracticalDetectorConfig, Wang2010DetectorConfig
-from fsw.fdi import REGISTRY
-from fsw.fdi.practical import PracticalDetector
+from fsw.gyro_fdi import REGISTRY
+from fsw.gyro_fdi.practical import PracticalDetector
 from plant_server.config import FaultConfig
 from tools.design import fdi_campaign
 from tools.design.fdi_campaign import Watch, vary

@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 
 from fsw.config import ModelConfig, PracticalDetectorConfig
-from fsw.fdi.classification import FaultKind
-from fsw.fdi.practical import PracticalDetector, PracticalInternals
-from fsw.interfaces import Detection, Estimate, Sensors
+from fsw.gyro_fdi.classification import FaultKind
+from fsw.gyro_fdi.practical import PracticalDetector, PracticalInternals
+from fsw.records import Detection, Estimate, Sensors
 
 DATA = Path(__file__).parents[1] / "data" / "gyro"
 MODEL = ModelConfig(inertia_kgm2=((45.0, 3.0, 2.0), (3.0, 38.0, -1.5), (2.0, -1.5, 50.0)))

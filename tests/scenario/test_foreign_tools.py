@@ -26,10 +26,10 @@ import pyte
 import pytest
 
 import tools
-from bus.address import open_transport
-from bus.frames import FRAME
-from bus.icd import dbc_path
-from bus.transport import Transport
+from bus.icd.messages import dbc_path
+from bus.wire.address import open_transport
+from bus.wire.frames import FRAME
+from bus.wire.transport import Transport
 from tools.vcan import packages
 
 ROOT = Path(tools.__file__).resolve().parent.parent

@@ -11,7 +11,7 @@ from scipy.stats import chi2
 
 from fsw.config import MekfConfig, ModelConfig
 from fsw.estimation.mekf import Mekf
-from fsw.interfaces import Sensors
+from fsw.records import Sensors
 
 MODEL = ModelConfig(inertia_kgm2=((45.0, 3.0, 2.0), (3.0, 38.0, -1.5), (2.0, -1.5, 50.0)))
 CONFIG = MekfConfig(kind="mekf")

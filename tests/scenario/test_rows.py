@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from bus.telemetry import Link, Row
+from bus.telemetry.link import Link, Row
 from tools.config.loader import load_scenario
-from tools.inprocess import Bench
-from tools.scenario_files import find_scenario, list_shipped
+from tools.config.scenario_files import find_scenario, list_shipped
+from tools.run.bench import Bench
 
 
 class Keeper(Link):

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from tools.mcap_reader import read_run
+from tools.log.mcap_reader import read_run
 
 SHORT = ["--set", "duration_s=101", "--set", "expect=[]", "--no-plot", "--json", "-q"]
 

@@ -17,15 +17,15 @@ from pathlib import Path
 import pytest
 
 from bus.errors import RecordError, StepSizeError
-from tools import processes, runner
 from tools.config.loader import load_scenario
-from tools.inprocess import run_in_process
-from tools.mcap_reader import read_run
-from tools.mcap_writer import McapWriter
-from tools.scenario_files import find_scenario
+from tools.config.scenario_files import find_scenario
+from tools.log.mcap_reader import read_run
+from tools.log.mcap_writer import McapWriter
+from tools.run import processes, runner
+from tools.run.bench import run_in_process
 
 LONG = ["--set", "duration_s=3000", "--set", "expect=[]", "--no-plot", "--json", "-q"]
-MODULES = {"plant": "plant_server", "fsw": "fsw", "recorder": "tools.record"}
+MODULES = {"plant": "plant_server", "fsw": "fsw", "recorder": "tools.run.recorder_process"}
 
 
 @dataclass

@@ -26,14 +26,14 @@ import numpy as np
 import pytest
 
 import tools
-from bus.address import open_transport
 from bus.errors import BusAddressError
-from bus.frames import EFF_FLAG, ERR_FLAG, FRAME, RTR_FLAG
-from bus.icd_codec import encode_HEARTBEAT_PLANT
+from bus.icd.codec import encode_HEARTBEAT_PLANT
+from bus.wire.address import open_transport
+from bus.wire.frames import EFF_FLAG, ERR_FLAG, FRAME, RTR_FLAG
 from tools.config.loader import load_scenario
-from tools.inprocess import run_in_process
-from tools.mcap_reader import Run, read_run
-from tools.scenario_files import find_scenario
+from tools.config.scenario_files import find_scenario
+from tools.log.mcap_reader import Run, read_run
+from tools.run.bench import run_in_process
 from tools.vcan import kernel, packages
 
 ROOT = Path(tools.__file__).resolve().parent.parent

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from fsw.fdi.observers import GyroObserver
+from fsw.gyro_fdi.observers import GyroObserver
 from tools.design.ts_design import INERTIAS
 
 DATA = Path(__file__).parents[1] / "data" / "gyro"

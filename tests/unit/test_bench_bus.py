@@ -6,7 +6,7 @@ import os
 
 import pytest
 
-from tools.bench_bus import measure_all, measure_one_way, measure_round_trip
+from tools.measure.bus import measure_all, measure_one_way, measure_round_trip
 
 
 def test_all_figures_are_there_and_nothing_was_lost() -> None:
@@ -26,6 +26,6 @@ def test_percentiles_are_in_order(address: str) -> None:
 
 def test_a_bus_that_drops_is_found_out(monkeypatch: pytest.MonkeyPatch) -> None:
     """With more frames under way than the reader's queue holds, some are lost, and the count says so."""
-    monkeypatch.setattr("tools.bench_bus.WINDOW", 60_000)
+    monkeypatch.setattr("tools.measure.bus.WINDOW", 60_000)
     result = measure_one_way("hub:", 64_000, 1000)
     assert result["lost"] == result["dropped_by_bus"] > 0

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from bus import can_link
-from bus.address import open_transport
 from bus.errors import BusAddressError
+from bus.wire import can_link
+from bus.wire.address import open_transport
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -45,7 +45,7 @@ def test_a_queue_needs_room_for_a_frame() -> None:
 def test_our_own_transports_do_not_load_python_can(tmp_path: Path) -> None:
     """Its import costs more than the rest of the start together."""
     code = (
-        "import sys; from bus.address import open_transport; open_transport('memory:x', node='a')\n"
+        "import sys; from bus.wire.address import open_transport; open_transport('memory:x', node='a')\n"
         f"open_transport('hub:{tmp_path}/b', node='a', host=True)\n"
         "from bus.errors import BusError, BusAddressError\n"
         "try: open_transport('socketcan:nothing0', node='a')\n"

@@ -11,7 +11,8 @@ from typing import Any
 import pytest
 
 from bus.errors import ConfigError
-from bus.settings import RunConfig, build
+from bus.run import RunConfig
+from bus.settings import build
 from fsw.config import FswConfig, IloConfig, NoObserverConfig, VariableStructureConfig
 from plant_server.config import FaultConfig, PlantConfig
 from tools.config import load_scenario, load_text

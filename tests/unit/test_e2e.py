@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from fastcrc.crc8 import sae_j1850
 
-from bus import e2e, icd_codec
-from bus.e2e import Link, Receiver, part_group
-from bus.frames import FRAME
-from bus.icd import MESSAGES
+from bus.icd import codec as icd_codec
+from bus.icd import e2e
+from bus.icd.e2e import Link, Receiver, part_group
+from bus.icd.messages import MESSAGES
+from bus.wire.frames import FRAME
 
 SPEED_FRAME_ID = 0x190
 

@@ -11,9 +11,9 @@ import pytest
 from scipy.linalg import expm, solve_continuous_lyapunov
 
 from bus.errors import DesignError
-from fsw.fdi.gains import exponentiate, load_bank, require_stable_static
-from fsw.fdi.observers import GyroObserver
-from fsw.fdi.ts_model import OPERATING_RATE_RAD_S, VERTEX_SIGNS, invert, make_a, make_f
+from fsw.gyro_fdi.gains import exponentiate, load_bank, require_stable_static
+from fsw.gyro_fdi.observers import GyroObserver
+from fsw.gyro_fdi.ts_model import OPERATING_RATE_RAD_S, VERTEX_SIGNS, invert, make_a, make_f
 from tools.design import hinf, ts_design
 from tools.design.ts_design import BANKS, INERTIAS, Weighting, compute_t_ef, design_bank, make_plant
 

@@ -10,12 +10,12 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from bus.attitude import IDENTITY, exp_map
-from fsw.fdi.classification import Classifier, FaultKind, average_blocks
-from fsw.fdi.momentum_filter import MomentumFilter
-from fsw.fdi.parity import Frame, Healthy, Parity, interpolate
-from fsw.fdi.plausibility import Plausibility, bound_acceleration
-from fsw.fdi.recovery import AxisRecovery, AxisState
-from fsw.fdi.wheel_monitor import WheelMonitor
+from fsw.gyro_fdi.classification import Classifier, FaultKind, average_blocks
+from fsw.gyro_fdi.momentum_filter import MomentumFilter
+from fsw.gyro_fdi.parity import Frame, Healthy, Parity, interpolate
+from fsw.gyro_fdi.plausibility import Plausibility, bound_acceleration
+from fsw.gyro_fdi.recovery import AxisRecovery, AxisState
+from fsw.gyro_fdi.wheel_monitor import WheelMonitor
 
 J = ((45.0, 3.0, 2.0), (3.0, 38.0, -1.5), (2.0, -1.5, 50.0))
 TICK_S = 0.05

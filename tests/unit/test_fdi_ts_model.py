@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fsw.fdi import ts_model
-from fsw.fdi.ts_model import OPERATING_RATE_RAD_S, VERTEX_SIGNS, invert, make_a, make_f
+from fsw.gyro_fdi import ts_model
+from fsw.gyro_fdi.ts_model import OPERATING_RATE_RAD_S, VERTEX_SIGNS, invert, make_a, make_f
 
 DATA = np.load(Path(__file__).parents[1] / "data" / "gyro" / "ts_model.npz")
 J = tuple(tuple(float(v) for v in row) for row in DATA["J"])

@@ -19,8 +19,8 @@ from fsw.controllers.smc import SlidingMode
 from fsw.estimation.direct import Direct
 from fsw.estimation.rotation import turn
 from fsw.guidance import HYSTERESIS_Q0, Guidance
-from fsw.interfaces import Sensors
 from fsw.observers.ilo import Ilo, invert_inertia, scale_gains
+from fsw.records import Sensors
 from fsw.wheel_axes import D0_B_RW, combine_wheels, project_on_wheels, spread_on_wheels
 
 J = ((45.0, 3.0, 2.0), (3.0, 38.0, -1.5), (2.0, -1.5, 50.0))

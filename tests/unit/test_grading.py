@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from bus.errors import ConfigError
-from bus.telemetry import Field, TickPacker, Topic, announce_topics
+from bus.telemetry.link import Field, TickPacker, Topic, announce_topics
 from tools.config.expect import Above, Below, Equals, RmsBelow, RmsEquals, Settles, Within
+from tools.grading.expressions import evaluate
 from tools.grading.judge import judge
-from tools.grading.signals import evaluate
-from tools.mcap_reader import Run, read_run
-from tools.recorder import Recorder
+from tools.log.mcap_reader import Run, read_run
+from tools.log.recorder import Recorder
 
 TICK_NS = 100_000_000
 

@@ -17,19 +17,23 @@ from pathlib import Path
 import pytest
 
 from bus.errors import BusAddressError, BusInUseError, BusLostError
-from bus.frames import FRAME
-from bus.hub import MAX_CLIENTS, MAX_STRANGERS
-from bus.hub_client import HubClient
-from bus.hub_directory import default_directory
-from bus.hub_host import HubHost
-from bus.hub_wire import MAX_DATAGRAM, SOCKET_NAME, VCAN_QUEUE_FRAMES, pack_control, unpack_control
+from bus.wire.frames import FRAME
+from bus.wire.hub.client import HubClient
+from bus.wire.hub.datagrams import MAX_DATAGRAM, SOCKET_NAME, VCAN_QUEUE_FRAMES, pack_control, unpack_control
+from bus.wire.hub.directory import default_directory
+from bus.wire.hub.host import HubHost
+from bus.wire.hub.hub import MAX_CLIENTS, MAX_STRANGERS
 
 ROOT = Path(__file__).resolve().parents[2]
 ARRIVE_S = 10.0
-HOST = "import sys; from bus.hub import serve; serve(sys.argv[1], node='plant', ready=lambda: print('up', flush=True))"
+HOST = """
+import sys
+from bus.wire.hub.hub import serve
+serve(sys.argv[1], node="plant", ready=lambda: print("up", flush=True))
+"""
 CLIENT = """
 import sys, time
-from bus.hub_client import HubClient
+from bus.wire.hub.client import HubClient
 client = HubClient(sys.argv[1], "fsw")
 client.send(bytes(16))
 time.sleep(60)
@@ -389,7 +393,7 @@ class TestQueues:
         self, host: HubHost, where: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         """The host hangs: frames that find no room are counted as not sent; those with room are all routed later."""
-        monkeypatch.setattr("bus.hub_client.SEND_PATIENCE_S", 0.05)
+        monkeypatch.setattr("bus.wire.hub.client.SEND_PATIENCE_S", 0.05)
         client = enter(host, where, "fsw")
         while not client.counters.tx_failed:
             client.send(frame(0x110, client.counters.tx))

@@ -11,7 +11,7 @@ from typing import Any
 import cantools
 import pytest
 
-from bus.icd import IDS, MESSAGES, dbc_path
+from bus.icd.messages import IDS, MESSAGES, dbc_path
 from tools.design.generate_codec import generate_codec, generate_table
 from tools.design.generate_icd_page import generate_page
 
@@ -151,7 +151,7 @@ def test_units_of_one_kind_differ_only_in_id_and_ends() -> None:
 
 @EACH_MESSAGE
 def test_run_time_table_says_what_the_dbc_says(message: Any) -> None:
-    """bus.icd, which parses nothing, agrees with cantools' reading of the DBC."""
+    """bus.icd.messages, which parses nothing, agrees with cantools' reading of the DBC."""
     ours = MESSAGES[message.frame_id]
     assert (ours.name, [ours.sender], set(ours.receivers)) == (message.name, message.senders, message.receivers)
     assert (ours.cycle_time_ms, ours.data_id) == (message.cycle_time, message.dbc.attributes["DataID"].value)
@@ -167,8 +167,8 @@ def test_run_time_table_says_what_the_dbc_says(message: Any) -> None:
 @pytest.mark.parametrize(
     ("path", "generate", "command"),
     [
-        ("bus/icd_codec.py", generate_codec, "generate_codec"),
-        ("bus/icd_table.py", generate_table, "generate_codec"),
+        ("bus/icd/codec.py", generate_codec, "generate_codec"),
+        ("bus/icd/message_table.py", generate_table, "generate_codec"),
         ("docs/icd.md", generate_page, "generate_icd_page"),
     ],
 )
@@ -180,6 +180,7 @@ def test_generated_files_are_up_to_date(path: str, generate: Any, command: str) 
 
 def test_nothing_is_parsed_at_run_time() -> None:
     """The modules of the loop load neither cantools nor its parser: start-up time and the flight side's imports."""
-    code = "import sys, bus.icd, bus.icd_codec, bus.e2e, bus.load; print({'cantools', 'textparser'} & {*sys.modules})"
+    modules = "bus.icd.messages, bus.icd.codec, bus.icd.e2e, bus.icd.load"
+    code = f"import sys, {modules}; print({{'cantools', 'textparser'}} & {{*sys.modules}})"
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
     assert done.stdout == "set()\n"

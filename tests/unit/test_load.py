@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from bus.errors import BusLoadError
-from bus.load import bus_load, check_load, fitting_tick_rate_hz, required_bits_per_s, worst_case_bits
+from bus.icd.load import bus_load, check_load, fitting_tick_rate_hz, required_bits_per_s, worst_case_bits
 
 
 @pytest.mark.parametrize(

@@ -17,12 +17,13 @@ from mcap.reader import make_reader
 
 import bus
 from bus.errors import RecordError, UsageError
-from bus.frames import FRAME
-from bus.telemetry import Field, TickPacker, Topic, announce_topics, pack_frames
-from tools import digest, export, recover
-from tools.mcap_reader import Run, read_run
-from tools.pycan_mcap import McapLogReader, McapLogWriter
-from tools.recorder import Recorder
+from bus.telemetry.link import Field, TickPacker, Topic, announce_topics, pack_frames
+from bus.wire.frames import FRAME
+from tools.log import diff as digest
+from tools.log import export, recover
+from tools.log.mcap_reader import Run, read_run
+from tools.log.python_can_mcap import McapLogReader, McapLogWriter
+from tools.log.recorder import Recorder
 
 PACKER = TickPacker([Topic("/truth/x", "hilsat/X", (Field("a", "float64", 2), Field("n", "uint32")))], 2)
 NOISY = TickPacker([Topic("/fsw/timing", "hilsat/Timing", (Field("us"),), deterministic=False)], 101)

@@ -11,10 +11,10 @@ import pytest
 from mcap.writer import CompressionType, Writer
 
 from bus.errors import RecordError
-from bus.frames import FRAME
-from bus.telemetry import Field, TickPacker, Topic, announce_topics, pack_frames
-from tools.mcap_reader import parse_layout, read_run
-from tools.recorder import Recorder, RunAttachment
+from bus.telemetry.link import Field, TickPacker, Topic, announce_topics, pack_frames
+from bus.wire.frames import FRAME
+from tools.log.mcap_reader import parse_layout, read_run
+from tools.log.recorder import Recorder, RunAttachment
 
 DBC = """VERSION ""
 NS_ :

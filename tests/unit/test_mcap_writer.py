@@ -11,7 +11,7 @@ from mcap.records import ChunkIndex
 from mcap.stream_reader import StreamReader
 
 from bus.errors import RecordError
-from tools.mcap_writer import Compression, McapWriter
+from tools.log.mcap_writer import Compression, McapWriter
 
 SCHEMA = ("hilsat/msg/Raw", "ros2msg", "uint8 x\n")
 

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from fsw import estimation
 from fsw.config import MekfConfig, ModelConfig
 from fsw.estimation.mekf import Mekf
-from fsw.interfaces import Estimate, Sensors
+from fsw.records import Estimate, Sensors
 
 MODEL = ModelConfig(inertia_kgm2=((45.0, 3.0, 2.0), (3.0, 38.0, -1.5), (2.0, -1.5, 50.0)))
 CONFIG = MekfConfig(kind="mekf")

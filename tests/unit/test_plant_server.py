@@ -6,7 +6,7 @@ from struct import Struct
 
 import pytest
 
-from bus.icd_codec import (
+from bus.icd.codec import (
     DECODERS,
     encode_CYCLE_DONE,
     encode_HEARTBEAT_FSW,
@@ -15,9 +15,9 @@ from bus.icd_codec import (
     encode_SYNC,
 )
 from bus.settings import build
+from plant_server.channel import PlantServer
 from plant_server.config import FaultConfig, PlantConfig
 from plant_server.plant import Plant
-from plant_server.server import PlantServer
 
 FRAME = Struct("=IB3x8s")
 TICK_S = 0.1

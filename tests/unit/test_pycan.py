@@ -19,17 +19,17 @@ from can.interfaces.virtual import VirtualBus
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bus.address import open_transport
 from bus.errors import BusAddressError, BusLostError
-from bus.frames import EFF_FLAG, ERR_FLAG, FRAME, RTR_FLAG
-from bus.hub_host import HubHost
-from bus.pycan import HilsatBus
-from bus.pycan_transport import PyCanTransport, pack_message, unpack_message
+from bus.wire.address import open_transport
+from bus.wire.frames import EFF_FLAG, ERR_FLAG, FRAME, RTR_FLAG
+from bus.wire.hub.host import HubHost
+from bus.wire.python_can import PyCanTransport, pack_message, unpack_message
+from bus.wire.python_can_plugin import HilsatBus
 
 ROOT = Path(__file__).resolve().parents[2]
 # As the entry point of an installed hilsat does it.
 REGISTER = (
-    "import can.interfaces as i; i.BACKENDS.setdefault('hilsat', ('bus.pycan', 'HilsatBus'));"
+    "import can.interfaces as i; i.BACKENDS.setdefault('hilsat', ('bus.wire.python_can_plugin', 'HilsatBus'));"
     "i.VALID_INTERFACES = frozenset(i.BACKENDS); "
 )
 _serial = itertools.count()

@@ -18,11 +18,11 @@ from mcap.reader import make_reader
 
 import bus
 from bus.errors import RecordError
-from bus.telemetry import Field, TelemetryLink, TickPacker, Topic, announce_topics, pack_frames
-from tools.mcap_reader import read_run
-from tools.record import main
-from tools.recorder import CHUNK_BYTES, Recorder, RunAttachment
-from tools.recover import recover
+from bus.telemetry.link import Field, TelemetryLink, TickPacker, Topic, announce_topics, pack_frames
+from tools.log.mcap_reader import read_run
+from tools.log.recorder import CHUNK_BYTES, Recorder, RunAttachment
+from tools.log.recover import recover
+from tools.run.recorder_process import main
 
 ROOT = Path(bus.__file__).resolve().parents[1]
 PLANT = TickPacker([Topic("/truth/x", "hilsat/TruthX", (Field("tick"), Field("wall_s"), Field("x", "float64", 20)))], 2)
@@ -49,13 +49,13 @@ def make_recorder(path: Path, **options: Any) -> Recorder:
 
 
 class RecorderProcess:
-    """`python -P -m tools.record` with the two pipes it reads."""
+    """`python -P -m tools.run.recorder_process` with the two pipes it reads."""
 
     def __init__(self, directory: Path, prepare: Callable[[], None] | None = None, **meta: Any) -> None:
         self.out = directory / "run.mcap"
         (directory / "meta.json").write_text(json.dumps(meta))
         reads, writes = zip(*(os.pipe() for _ in range(2)), strict=True)
-        command = [sys.executable, "-P", "-m", "tools.record", "--out", str(self.out)]
+        command = [sys.executable, "-P", "-m", "tools.run.recorder_process", "--out", str(self.out)]
         command += ["--meta", str(directory / "meta.json"), "--source", f"1:{reads[0]}", "--source", f"2:{reads[1]}"]
         self.popen = subprocess.Popen(
             command, pass_fds=reads, stderr=subprocess.PIPE, text=True, preexec_fn=prepare,

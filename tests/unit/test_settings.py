@@ -14,7 +14,8 @@ from typing import Annotated, Any, Literal
 import pytest
 
 from bus.errors import ConfigError
-from bus.settings import RunConfig, build, join_key, plain, run_hash
+from bus.run import RunConfig, run_hash
+from bus.settings import build, join_key, plain
 from bus.units import Gt, Le, Seconds, Unit, Vec3
 from fsw.config import FswConfig, IloConfig, MekfConfig
 from plant_server.config import ExclusionConfig, PlantConfig, StarTrackerConfig

@@ -18,11 +18,11 @@ from pathlib import Path
 
 import pytest
 
-from bus.address import open_transport
-from bus.can_link import ask_bitrate_bps, find_link, list_can_links
 from bus.errors import BusAddressError, BusInUseError, BusLostError
-from bus.frames import FRAME
-from bus.socketcan import CAN_RAW_FD_FRAMES, SOL_CAN_RAW, SocketCanTransport
+from bus.wire.address import open_transport
+from bus.wire.can_link import ask_bitrate_bps, find_link, list_can_links
+from bus.wire.frames import FRAME
+from bus.wire.socketcan import CAN_RAW_FD_FRAMES, SOL_CAN_RAW, SocketCanTransport
 
 pytestmark = pytest.mark.vcan
 
@@ -30,7 +30,7 @@ ROOT = Path(__file__).resolve().parents[2]
 ARRIVE_S = 10.0
 CLAIM = """
 import sys, time
-from bus.address import open_transport
+from bus.wire.address import open_transport
 node = open_transport(sys.argv[1], node="fsw")
 print("up", flush=True)
 time.sleep(60)

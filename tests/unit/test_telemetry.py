@@ -12,10 +12,10 @@ import time
 
 import pytest
 
-from bus import telemetry
 from bus.errors import ConfigError, RecordError, UsageError
-from bus.events import format_event, format_fault, format_transform
-from bus.telemetry import (
+from bus.telemetry import link as telemetry
+from bus.telemetry.events import format_event, format_fault, format_transform
+from bus.telemetry.link import (
     CLOSE,
     HEADER,
     JSON,

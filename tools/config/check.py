@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from bus.errors import ConfigError
-from bus.load import bus_load
+from bus.icd.load import bus_load
 from tools.config.findings import Finding
 from tools.config.loader import examine
 from tools.config.scenario import Resolved

@@ -20,12 +20,10 @@ from __future__ import annotations
 
 import ast
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Literal
 
 from bus.units import Ge, Gt, NonNegative, Positive, Seconds
-from tools.config.signals import check_names
-
-STRICT: dict[str, Any] = {"extra": "forbid", "allow_inf_nan": False}
+from tools.config.signal_names import check_names
 
 # name -> what it gives, for messages and documents; the grader implements exactly these
 SIGNAL_FUNCTIONS: dict[str, str] = {
@@ -53,8 +51,6 @@ class Settles:
     At least one of by_s, not_before_s, at_s must be given; at_s and tolerance_s go together.
     """
 
-    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
-
     check: Literal["settles"]
     name: str  # the requirement, as the report shows it
     signal: str  # expression, see docs/scenarios.md
@@ -79,8 +75,6 @@ class Below:
     not count. Margin in seconds: by_s - earliest t0 when by_s is given, else longest hold - for_s.
     """
 
-    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
-
     check: Literal["below"]
     name: str  # the requirement, as the report shows it
     signal: str  # expression, see docs/scenarios.md
@@ -97,8 +91,6 @@ class Below:
 class Above:
     """signal >= bound. Holds, windows and margins as for `below`, with the sign turned."""
 
-    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
-
     check: Literal["above"]
     name: str  # the requirement, as the report shows it
     signal: str  # expression, see docs/scenarios.md
@@ -114,8 +106,6 @@ class Above:
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Within:
     """lower <= signal <= upper. Holds and windows as for `below`; margin = the smaller distance to either bound."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
 
     check: Literal["within"]
     name: str  # the requirement, as the report shows it
@@ -134,8 +124,6 @@ class Within:
 class Equals:
     """|signal - value| <= tolerance. Holds and windows as for `below`; margin = tolerance - largest difference."""
 
-    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
-
     check: Literal["equals"]
     name: str  # the requirement, as the report shows it
     signal: str  # expression, see docs/scenarios.md
@@ -153,8 +141,6 @@ class Equals:
 class RmsBelow:
     """Root mean square of the signal over the samples of the window <= bound. Margin = bound - rms."""
 
-    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
-
     check: Literal["rms_below"]
     name: str  # the requirement, as the report shows it
     signal: str  # expression, see docs/scenarios.md
@@ -168,8 +154,6 @@ class RmsBelow:
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RmsEquals:
     """|rms - value| <= tolerance, for a published rms to reproduce. Margin = tolerance - |rms - value|."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
 
     check: Literal["rms_equals"]
     name: str  # the requirement, as the report shows it

@@ -180,7 +180,7 @@ def _say_nearby(name: str) -> str:
         files = sorted(entry for entry in os.listdir(folder) if entry.endswith((".yaml", ".yml")))
     except OSError:
         return ""
-    from bus.settings import nearest
+    from bus.words import nearest
 
     guess = nearest(os.path.basename(name), files)
     return f'; did you mean "{os.path.join(os.path.dirname(name), guess)}"?' if guess else ""

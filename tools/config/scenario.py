@@ -6,23 +6,20 @@ import json
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
-from bus.settings import BusConfig, ClockConfig, plain, run_hash
+from bus.run import BusConfig, ClockConfig, run_hash
+from bus.settings import plain
 from bus.units import Ge, Gt, Seconds
 from fsw.config import FswConfig
 from plant_server.config import FaultConfig, PlantConfig
 from tools.config.expect import Expectation
 from tools.config.findings import Source
 
-STRICT: dict[str, Any] = {"extra": "forbid", "allow_inf_nan": False}
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scenario:
     """A whole scenario file, after `extends` and overrides."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
 
     name: str  # short, also names the log file
     title: str = ""  # one line for reports

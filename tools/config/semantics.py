@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from bus.errors import BusLoadError
-from bus.load import check_load
+from bus.icd.load import check_load
 from bus.settings import NOTHING, KeyPath, Problem, Reading, fields_of, strip_annotations
 from plant_server.config import FaultConfig, PlantConfig
 from plant_server.faults import check_fault

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from bus.units import DEG, Mat3, Vec3, Vec4
-from fsw.interfaces import Allocator, Controller, Observer
+from fsw.records import Allocator, Controller, Observer
 from fsw.wheel_axes import combine_wheels
 
 CASES_FILE = Path(__file__).with_name("braking_cases.json")

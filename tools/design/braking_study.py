@@ -29,9 +29,9 @@ from fsw.config import (
 from fsw.controllers.braking_profile import BrakingProfile
 from fsw.controllers.smc import SlidingMode
 from fsw.controllers.variable_structure import VariableStructure
-from fsw.interfaces import Controller, Observer
 from fsw.observers.ilo import Ilo, scale_gains
 from fsw.observers.none import NoObserver
+from fsw.records import Controller, Observer
 from tools.design.braking_cases import INERTIA_KGM2, Case, Conditions, Stack, fly, read_cases
 
 GROUPS = ("zhang2018", "given", "random, seen", "random, fresh")

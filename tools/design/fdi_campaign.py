@@ -22,8 +22,8 @@ from typing import Any
 
 import numpy as np
 
-from fsw.fdi.classification import FaultKind
-from fsw.fdi.practical import PracticalDetector
+from fsw.gyro_fdi.classification import FaultKind
+from fsw.gyro_fdi.practical import PracticalDetector
 from plant_server.config import FaultConfig
 from tools.design.fdi_flight import WHEEL_FAULTS, FlightSettings, Moment, fly, with_detector
 

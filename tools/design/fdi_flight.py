@@ -15,7 +15,7 @@ import numpy as np
 
 from bus.attitude import IDENTITY, angle_between, exp_map, multiply
 from bus.units import Mat3, Vec3, Vec4
-from fsw import allocators, controllers, estimation, fdi, observers
+from fsw import allocators, controllers, estimation, gyro_fdi, observers
 from fsw.config import (
     DetectorConfig,
     IloConfig,
@@ -26,7 +26,7 @@ from fsw.config import (
     SmcConfig,
 )
 from fsw.guidance import Guidance
-from fsw.interfaces import Detection, Sensors
+from fsw.records import Detection, Sensors
 from fsw.wheel_axes import combine_wheels
 from plant_server.config import BodyConfig, FaultConfig, GyroConfig, PlantConfig, StarTrackerConfig, WheelConfig
 from plant_server.plant import TRUTH_FIELDS, Plant
@@ -158,7 +158,7 @@ def fly(settings: FlightSettings, watch: Callable[[Moment], None], plant: Plant 
     plant = plant if plant is not None else make_plant(settings)
     model = ModelConfig(inertia_kgm2=INERTIA_KGM2)
     estimator = estimation.REGISTRY["mekf"](make_estimator_config(settings.fog), model, tick_s)
-    detector = fdi.REGISTRY[settings.detector.kind](settings.detector, model, tick_s)
+    detector = gyro_fdi.REGISTRY[settings.detector.kind](settings.detector, model, tick_s)
     ilo_every = max(1, round(0.05 / tick_s))
     observer = observers.REGISTRY["ilo"](IloConfig(kind="ilo", period_s=ilo_every * tick_s), model)
     law = SmcConfig(kind="smc", k1=15.0, beta0=math.sqrt(0.08), beta_law="fixed")

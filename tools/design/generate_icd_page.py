@@ -1,4 +1,4 @@
-"""Writes docs/icd.md from bus/icd.dbc: `python -m tools.design.generate_icd_page`."""
+"""Writes docs/icd.md from bus/icd/icd.dbc: `python -m tools.design.generate_icd_page`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 import cantools
 
-from bus.load import BIT_RATES_BPS, LOAD_LIMIT, bus_load
+from bus.icd.load import BIT_RATES_BPS, LOAD_LIMIT, bus_load
 
 ROOT = Path(__file__).resolve().parents[2]
 TICK_RATES_HZ = (10, 50, 100, 200)
@@ -15,7 +15,7 @@ STAR_RATE_HZ = 10
 
 INTRODUCTION = """# The bus: interface control document
 
-Generated from `bus/icd.dbc` by `python -m tools.design.generate_icd_page`. Do not edit this page: edit the DBC, then
+Generated from `bus/icd/icd.dbc` by `python -m tools.design.generate_icd_page`. Do not edit this page: edit the DBC, then
 run that and `python -m tools.design.generate_codec`.
 
 The flight software and the plant know each other only through these frames: classic CAN, 11-bit ids, 8 bytes, little
@@ -33,7 +33,7 @@ Ids are shaped like CANopen's (SYNC 0x080, TIME 0x100, heartbeat 0x700 + node); 
 | 1 | 4-7 | named per message | a 4-bit state, below |
 | 2-7 | | payload | below; unused bytes are 0 |
 
-Physical value = raw value x scale. The in-loop codec (`bus/icd_codec.py`, generated too) rounds half-even and sends a
+Physical value = raw value x scale. The in-loop codec (`bus/icd/codec.py`, generated too) rounds half-even and sends a
 value that is out of range as the nearest one in range.
 """
 
@@ -113,7 +113,7 @@ def generate_page(database: Any) -> str:
 
 def main() -> None:
     """Write the page."""
-    database = cantools.database.load_file(ROOT / "bus" / "icd.dbc")
+    database = cantools.database.load_file(ROOT / "bus" / "icd" / "icd.dbc")
     (ROOT / "docs" / "icd.md").write_text(generate_page(database), encoding="utf-8")
 
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from tools.config.loader import load_scenario
-from tools.inprocess import Bench
-from tools.scenario_files import find_scenario
+from tools.config.scenario_files import find_scenario
+from tools.run.bench import Bench
 
 LIMITS_DEG = (5.0, 1.0, 0.1, 0.01)
 ERROR_DEG = 7  # place of error_deg in Plant.expand(), see TRUTH_FIELDS

@@ -18,14 +18,14 @@ from typing import Any
 import numpy as np
 from mcap.writer import CompressionType, Writer
 
-from bus.telemetry import Field, Link, PackRows, Row, TickPacker, Topic, pack_frames
-from tools import mcap_writer
+from bus.telemetry.link import Field, Link, PackRows, Row, TickPacker, Topic, pack_frames
 from tools.config.loader import load_scenario
-from tools.inprocess import Bench
-from tools.mcap_reader import parse_layout
-from tools.message_index import DATA_AT, walk_messages
-from tools.recorder import Recorder
-from tools.scenario_files import find_scenario
+from tools.config.scenario_files import find_scenario
+from tools.log import mcap_writer
+from tools.log.mcap_reader import parse_layout
+from tools.log.message_index import DATA_AT, walk_messages
+from tools.log.recorder import Recorder
+from tools.run.bench import Bench
 
 Tick = tuple[int, int, int, bytes]  # source, tick, t_ns, records
 

@@ -21,10 +21,10 @@ import numpy as np
 
 from bus.errors import DesignError
 from bus.units import Mat3
-from fsw.fdi.ts_model import OPERATING_RATE_RAD_S, VERTEX_SIGNS, invert, make_a, make_f
+from fsw.gyro_fdi.ts_model import OPERATING_RATE_RAD_S, VERTEX_SIGNS, invert, make_a, make_f
 from tools.design.hinf import Array, Controller, GeneralisedPlant, close_loop, compute_norm, discretise, synthesise
 
-GAINS_DIR = Path(__file__).resolve().parents[2] / "fsw" / "fdi"
+GAINS_DIR = Path(__file__).resolve().parents[2] / "fsw" / "gyro_fdi"
 INERTIAS: dict[str, Mat3] = {
     "wang2010": ((55.3, 0.21, 0.41), (0.21, 51.5, -0.34), (0.41, -0.34, 41.8)),
     "zhang2018": ((45.0, 3.0, 2.0), (3.0, 38.0, -1.5), (2.0, -1.5, 50.0)),

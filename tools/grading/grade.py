@@ -15,7 +15,7 @@ from plant_server.faults import GYRO_AXES
 from tools.config.loader import load_text
 from tools.config.scenario import Resolved
 from tools.grading.judge import Verdict, judge
-from tools.mcap_reader import Run, read_run
+from tools.log.mcap_reader import Run, read_run
 
 SCENARIO_ATTACHMENT = "scenario.yaml"
 

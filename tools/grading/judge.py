@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from bus.errors import ConfigError
 from tools.config.expect import Above, Below, Equals, Expectation, Holding, RmsBelow, RmsEquals, Settles, Within
-from tools.grading.signals import evaluate
-from tools.mcap_reader import Run
+from tools.grading.expressions import evaluate
+from tools.log.mcap_reader import Run
 
 Floats = NDArray[np.floating[Any]]
 

@@ -17,10 +17,10 @@ from pathlib import Path
 from typing import Any
 
 from bus.units import Vec4
-from fsw.interfaces import Detection, Detector, Estimate, Sensors
+from fsw.records import Detection, Detector, Estimate, Sensors
 from tools.config.loader import load_scenario
 from tools.config.scenario import Resolved
-from tools.scenario_files import find_scenario
+from tools.config.scenario_files import find_scenario
 
 SCENARIOS = {  # scenario -> what makes it 100 Hz
     "zhang2018": ["clock.tick_hz=100", "fsw.executive.control_divider=10", "plant.star_tracker.rate_hz=10"],
@@ -66,7 +66,7 @@ def _measure_in_process(seconds: float) -> dict[str, Any]:
 
 def measure_scenario(name: str, seconds: float) -> dict[str, Any]:
     """The whole loop in this process: frames encoded, checked, decoded, telemetry written to a file."""
-    from tools.inprocess import run_in_process
+    from tools.run.bench import run_in_process
 
     resolved = _load(name, seconds, "inprocess")
     speeds = []
@@ -97,7 +97,7 @@ def _measure_lockstep(seconds: float) -> dict[str, Any]:
 
 def _measure_processes(name: str, seconds: float) -> dict[str, Any]:
     """Two processes and a recorder over the embedded bus."""
-    from tools.runner import run_processes
+    from tools.run.runner import run_processes
 
     resolved = _load(name, seconds, "lockstep")
     speeds, starts, memory = [], [], []
@@ -126,8 +126,8 @@ def _load(name: str, seconds: float, mode: str) -> Resolved:
 
 def _measure_codec(seconds: float) -> dict[str, Any]:
     """One frame, CRC and alive counter included."""
-    from bus.e2e import Link
-    from bus.icd_codec import DECODERS, encode_RW1_TLM
+    from bus.icd.codec import DECODERS, encode_RW1_TLM
+    from bus.icd.e2e import Link
 
     frames = [encode_RW1_TLM(k % 15, 0, 12.345 + k, 100, k & 0xFF)[8:] for k in range(1500)]
     link = Link(DECODERS[0x190])
@@ -150,7 +150,7 @@ def _time(call: Callable[[int], object], count: int) -> float:
 
 def _measure_detection(seconds: float) -> dict[str, Any]:
     """One cycle of the practical gyro detector at 20 Hz with each residual observer: all axes, CPU time, mean."""
-    from tools.inprocess import Bench
+    from tools.run.bench import Bench
 
     overrides = ["clock.tick_hz=20", "fsw.executive.control_divider=2", "clock.mode=inprocess", "expect=[]"]
     results: dict[str, Any] = {"bar, us": 150.0}
@@ -185,13 +185,13 @@ class _Timed:
 
 
 def _measure_bus(seconds: float) -> dict[str, Any]:
-    from tools.bench_bus import measure_all
+    from tools.measure.bus import measure_all
 
     return measure_all()
 
 
 def _measure_basilisk(seconds: float) -> dict[str, Any]:
-    from tools.bench_basilisk import compare
+    from tools.measure.basilisk import compare
 
     return compare(lambda: measure_scenario("zhang2018", seconds))
 

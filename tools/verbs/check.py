@@ -6,7 +6,7 @@ import argparse
 from typing import Any
 
 from tools.config.check import check
-from tools.scenario_files import find_scenario
+from tools.config.scenario_files import find_scenario
 
 
 def add_parser(subparsers: Any) -> None:

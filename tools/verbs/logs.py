@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from tools import digest, export, recover
+from tools.log import diff, export, recover
 
 
 def add_parser(subparsers: Any) -> None:
     """Add the three verbs to the command line."""
-    for module in (recover, export, digest):
+    for module in (recover, export, diff):
         module.add_parser(subparsers)

@@ -18,8 +18,8 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Draw and print the path of the picture."""
     from tools.grading.grade import scenario_of
-    from tools.mcap_reader import read_run
-    from tools.plot import draw_run
+    from tools.log.mcap_reader import read_run
+    from tools.report.plot import draw_run
 
     run_log = read_run(args.log)
     print(draw_run(run_log, scenario_of(run_log, args.log), args.out or args.log.with_suffix(".png")))

@@ -13,8 +13,8 @@ from typing import Any
 from bus.errors import UsageError
 from tools.config.loader import load_scenario
 from tools.config.scenario import Resolved
-from tools.runner import RunReport, print_progress, run_processes
-from tools.scenario_files import find_scenario
+from tools.config.scenario_files import find_scenario
+from tools.run.runner import RunReport, print_progress, run_processes
 
 CLOCKS = ("lockstep", "realtime", "inprocess")
 
@@ -82,14 +82,14 @@ def _make_out_dir(wanted: Path | None, name: str) -> Path:
 
 def _execute(resolved: Resolved, out_dir: Path, on_progress: Any) -> RunReport:
     if resolved.scenario.clock.mode == "inprocess":
-        from tools.inprocess import run_in_process
+        from tools.run.bench import run_in_process
 
         return run_in_process(resolved, out_dir, on_progress)
     return run_processes(resolved, out_dir, on_progress)
 
 
 def _conclude(args: argparse.Namespace, resolved: Resolved, report: RunReport) -> int:
-    from tools.conclusion import conclude
+    from tools.run.conclusion import conclude
 
     result = conclude(resolved, report, draw=not args.no_plot)
     if args.json:

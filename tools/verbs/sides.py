@@ -17,7 +17,7 @@ from typing import Any
 from bus.errors import UsageError
 from tools.config.loader import load_scenario
 from tools.config.scenario import Resolved
-from tools.scenario_files import find_scenario
+from tools.config.scenario_files import find_scenario
 
 
 def add_parser(subparsers: Any) -> None:
@@ -59,15 +59,17 @@ def _become(verb: str, arguments: list[str]) -> int:
 
 
 def _run_logged(resolved: Resolved, args: argparse.Namespace, config: Path) -> int:
-    from tools.processes import make_pipe, start
-    from tools.runner import describe
+    from tools.run.processes import make_pipe, start
+    from tools.run.runner import describe
 
     source = 2 if args.verb == "fsw" else 1
     read_end, write_end = make_pipe()
     meta = config.with_name("meta.json")
     meta.write_text(json.dumps(describe(resolved, resolved.scenario.bus.address)))
     words = ["--out", str(args.log), "--meta", str(meta), "--source", f"{source}:{read_end}"]
-    recorder = start("recorder", "tools.record", words, [read_end], config.with_name("recorder.err"), orphan=True)
+    recorder = start(
+        "recorder", "tools.run.recorder_process", words, [read_end], config.with_name("recorder.err"), orphan=True
+    )
     os.close(read_end)
     try:
         code = _become(args.verb, ["--config", str(config), "--telemetry-fd", str(write_end)])

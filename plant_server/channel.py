@@ -1,0 +1,223 @@
+"""The plant on the bus: encodes what the units measure, takes the wheel commands, and advances the truth.
+
+One tick k, on every clock:
+
+    sample    the units measure at t_k
+    announce  their frames, then SYNC(k), go out
+    accept    frames that came in; a wheel takes a command only if length, checksum, counter and age are right
+    advance   the truth moves to t_(k+1)
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+from bus.icd.codec import (
+    COMMANDS_SIZE,
+    DECODERS,
+    decode_commands,
+    encode_fogs,
+    encode_HEARTBEAT_PLANT,
+    encode_rw_tlms,
+    encode_sensors,
+    encode_STR_QA,
+    encode_STR_QB,
+    encode_SYNC,
+    encode_TIME,
+)
+from bus.icd.e2e import Link, LinkGroup, part_group
+from bus.wire.frames import FRAME, FRAME_SIZE
+from plant_server.plant import FaultEvent, Plant, Snapshot
+from plant_server.star_tracker import StarFrame
+
+COUNTER_PERIOD = 15
+COMMAND_IDS = {0x110: 0, 0x111: 1, 0x112: 2, 0x113: 3}
+CYCLE_DONE_ID, HEARTBEAT_FSW_ID = 0x081, 0x702
+GROUP_IDS = (*COMMAND_IDS, CYCLE_DONE_ID)  # the frames of every tick, in the order in which they come
+GROUP_SIZE = len(GROUP_IDS)
+STATE_STOPPED, STATE_OPERATIONAL, STATE_PRE_OPERATIONAL, STATE_FAILED = 4, 5, 127, 128
+STAR_NOT_VALID = 15
+HEARTBEAT_S = 1.0
+Torques = tuple[float | None, float | None, float | None, float | None]  # None: no command
+NO_TORQUE: Torques = (0.0, 0.0, 0.0, 0.0)
+WHEELS_OK, GYRO_OK = (0, 0, 0, 0), (0, 0, 0)  # STATUS of every unit
+NEVER = -(10**9)  # tick of a command that has not come yet
+
+
+@dataclass(slots=True)
+class ServerCounters:
+    """Frames from the bus, by what became of them."""
+
+    accepted: int = 0
+    refused: int = 0  # length, checksum or alive counter wrong
+    foreign: int = 0  # not for the plant
+    too_old: int = 0  # a command whose SYNC_CNT is older than allowed
+    timeouts: int = 0  # wheel-ticks without a fresh enough command
+
+
+class PlantServer:
+    """A `Plant` behind CAN frames. Holds no socket and reads no clock."""
+
+    def __init__(self, plant: Plant, tick_s: float, run_hash: int) -> None:
+        self.plant = plant
+        self.tick = 0
+        self.fsw_state = -1
+        self.fsw_run_hash = -1
+        self.done_tick = -1  # tick of the last CYCLE_DONE
+        self.events: tuple[FaultEvent, ...] = ()  # faults that took effect or ended since the last samples
+        self.snapshot: Snapshot = plant.snapshot()  # of the truth, at the time of the samples
+        self._run_hash = run_hash
+        self._heartbeat_ticks = max(1, round(HEARTBEAT_S / tick_s))
+        self._tick_s = tick_s
+        self._star_counter = 0
+        self._current_a = self._current_ma = (0.0, 0.0, 0.0, 0.0)  # of the last samples
+        config = plant.config
+        self._timeout_ticks = config.command_timeout_ticks
+        self._max_age_ticks = config.command_max_age_ticks
+        self._torques_nm = (0.0, 0.0, 0.0, 0.0)  # of the last command that each wheel took
+        self._torque_ticks = (NEVER, NEVER, NEVER, NEVER)  # ticks at which they were received,
+        self._torques_tick = NEVER  # and that at which all four came at once
+        self._delay: deque[Torques] = deque([NO_TORQUE] * config.command_latency_ticks)
+        self.begin()
+
+    def begin(self) -> None:
+        """Forget the frames of the meeting: the run's own count starts here."""
+        self.counters = ServerCounters()
+        self._slow_counter = 0
+        self._links = {can_id: Link(DECODERS[can_id]) for can_id in (*GROUP_IDS, HEARTBEAT_FSW_ID)}
+        self._group = LinkGroup([self._links[can_id] for can_id in GROUP_IDS])
+
+    def heartbeat(self, state: int) -> bytes:
+        """One heartbeat frame of the plant."""
+        counter = self._slow_counter
+        self._slow_counter = (counter + 1) % COUNTER_PERIOD
+        return encode_HEARTBEAT_PLANT(counter, 0, state, self._run_hash)
+
+    def announce(self) -> bytes:
+        """Sample every unit at this tick; return its frames with SYNC last."""
+        tick = self.tick
+        sync_cnt = tick & 0xFF
+        counter = tick % COUNTER_PERIOD
+        samples = self.plant.measure()
+        self.snapshot = self.plant.snapshot()
+        _, rate, gyro_status, gyro_silent, star, speed, current, wheel_status, wheel_silent, any_silent, events = (
+            samples
+        )
+        self.events = events
+        if current is not self._current_a:
+            a, b, c, d = self._current_a = current
+            self._current_ma = (a * 1e3, b * 1e3, c * 1e3, d * 1e3)
+        extra = b"" if star is None else self._star_frames(star)
+        if tick % self._heartbeat_ticks == 0:
+            extra += self._slow_frames(tick)
+        if wheel_status == WHEELS_OK and gyro_status == GYRO_OK and not any_silent:
+            batch = encode_sensors(counter, speed, self._current_ma, sync_cnt, rate, tick)
+            return batch[:-FRAME_SIZE] + extra + batch[-FRAME_SIZE:] if extra else batch
+        wheels = encode_rw_tlms(counter, wheel_status, speed, self._current_ma, sync_cnt)
+        fogs = encode_fogs(counter, gyro_status, rate, sync_cnt)
+        if any_silent:
+            wheels = _leave_out(wheels, wheel_silent)
+            fogs = _leave_out(fogs, gyro_silent)
+        return wheels + fogs + extra + encode_SYNC(counter, 0, tick)
+
+    def _star_frames(self, star: StarFrame) -> bytes:
+        counter = self._star_counter
+        self._star_counter = (counter + 1) % COUNTER_PERIOD
+        q, age_ticks = star
+        return encode_STR_QA(counter, age_ticks, q[0], q[1]) + encode_STR_QB(counter, age_ticks, q[2], q[3])
+
+    def _slow_frames(self, tick: int) -> bytes:
+        seconds, fraction = divmod(tick * self._tick_s, 1.0)
+        counter = self._slow_counter
+        return encode_TIME(counter, 0, int(seconds), fraction) + self.heartbeat(STATE_OPERATIONAL)
+
+    def accept(self, batch: bytes) -> bool:
+        """Take the frames that came in. True once CYCLE_DONE of the present tick is among them.
+
+        A batch that is just what a cycle sends is taken at once; whatever differs from that in one bit, frame by frame.
+        """
+        usual, between = batch, b""
+        if len(batch) != COMMANDS_SIZE:
+            parts = part_group(batch, COMMANDS_SIZE, GROUP_IDS)
+            if parts is None:
+                return self._accept_each(batch)
+            usual, between = parts
+        values = decode_commands(usual, self._group.expected)
+        if values is None:
+            return self._accept_each(batch)
+        a, b, c, d, sync_cnt, sync_b, sync_c, sync_d, done_tick = values
+        tick = self.tick
+        if (tick - sync_cnt) & 0xFF > self._max_age_ticks or not sync_cnt == sync_b == sync_c == sync_d:
+            return self._accept_each(batch)
+        self._group.accept()
+        self.counters.accepted += GROUP_SIZE
+        self._torques_nm = (a, b, c, d)
+        self._torques_tick = tick
+        self.done_tick = done_tick
+        if between:
+            self._take(between)
+        return done_tick == tick
+
+    def _accept_each(self, batch: bytes) -> bool:
+        self._group.part()
+        self._take(batch)
+        self._group.join()
+        return self.done_tick == self.tick
+
+    def _take(self, batch: bytes) -> None:
+        counters = self.counters
+        for can_id, length, data in FRAME.iter_unpack(batch):
+            link = self._links.get(can_id)
+            if link is None:
+                counters.foreign += 1
+                continue
+            values = link.accept(data if length == 8 else data[:length])
+            if values is None:
+                counters.refused += 1
+                continue
+            counters.accepted += 1
+            if can_id == CYCLE_DONE_ID:
+                self.done_tick = values[2]
+            elif can_id == HEARTBEAT_FSW_ID:
+                self.fsw_state, self.fsw_run_hash = values[2], values[3]
+            else:
+                self._take_command(COMMAND_IDS[can_id], values)
+
+    def _take_command(self, wheel: int, values: tuple[int | float, ...]) -> None:
+        _, mode, torque_nm, sync_cnt = values
+        if (self.tick - int(sync_cnt)) & 0xFF > self._max_age_ticks:
+            self.counters.too_old += 1
+            return
+        torques, ticks = list(self._torques_nm), list(self._torque_ticks)
+        torques[wheel] = torque_nm if mode == 1 else 0.0
+        ticks[wheel] = self.tick
+        self._torques_nm = (torques[0], torques[1], torques[2], torques[3])
+        self._torque_ticks = (ticks[0], ticks[1], ticks[2], ticks[3])
+
+    def advance(self) -> None:
+        """Let the wheels act on their commands for one tick and move the truth to the next."""
+        torques: Torques = self._torques_nm if self._torques_tick == self.tick else self._hold_torques()
+        if self._delay:
+            self._delay.append(torques)
+            torques = self._delay.popleft()
+        self.plant.step(torques)
+        self.tick += 1
+
+    def _hold_torques(self) -> Torques:
+        """Return the last commands of the wheels, None for a wheel whose last one is too long ago."""
+        oldest = self.tick - self._timeout_ticks
+        a, b, c, d = (max(tick, self._torques_tick) for tick in self._torque_ticks)
+        t1, t2, t3, t4 = self._torques_nm
+        torques = (
+            t1 if a > oldest else None,
+            t2 if b > oldest else None,
+            t3 if c > oldest else None,
+            t4 if d > oldest else None,
+        )
+        self.counters.timeouts += torques.count(None)
+        return torques
+
+
+def _leave_out(batch: bytes, silent: tuple[bool, ...]) -> bytes:
+    return b"".join(batch[i * FRAME_SIZE : (i + 1) * FRAME_SIZE] for i, is_silent in enumerate(silent) if not is_silent)

@@ -1,0 +1,153 @@
+"""Signal expressions over a log: `norm(truth.attitude.omega_bi_b_rad_s)` as one number per sample.
+
+The meaning is stated in tools/config/expect.py. Evaluated over a syntax tree with nothing but the listed node types.
+"""
+
+from __future__ import annotations
+
+import ast
+import difflib
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bus.errors import ConfigError
+from tools.log.mcap_reader import Run
+
+Floats = NDArray[np.floating[Any]]
+
+# functions that make one number of a vector, for all samples at once: shape (n, width) -> (n,)
+ACROSS: dict[str, Callable[[Floats], Floats]] = {
+    "norm": lambda v: np.sqrt(np.sum(v * v, axis=1)),
+    "min": lambda v: np.min(v, axis=1),
+    "max": lambda v: np.max(v, axis=1),
+    "sum": lambda v: np.sum(v, axis=1),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """A signal over time. `values` has shape (n,) or (n, width); `t_s` None: a constant."""
+
+    t_s: Floats | None
+    values: Floats
+
+
+def evaluate(run: Run, expression: str) -> Series:
+    """The signal that an expression describes, one number per sample.
+
+    Raises ConfigError where a topic or field is not in the log (with the near miss) or the result is a vector.
+    """
+    tree = ast.parse(expression.strip(), mode="eval").body
+    try:
+        series = _evaluate(run, tree)
+    except (ValueError, IndexError) as error:
+        raise ConfigError(f"signal {expression!r}: {error}") from None
+    if series.t_s is None:
+        raise ConfigError(f"signal {expression!r} names no logged signal, such as truth.attitude.error_deg")
+    if series.values.ndim != 1:
+        raise ConfigError(
+            f"signal {expression!r} is a vector of {series.values.shape[1]}; take an element, [0], or norm(...)"
+        )
+    return series
+
+
+def _evaluate(run: Run, node: ast.expr) -> Series:
+    if isinstance(node, ast.Constant):
+        return Series(None, np.asarray(node.value, dtype=np.float64))
+    if isinstance(node, ast.Attribute):
+        return _look_up(run, ast.unparse(node))
+    if isinstance(node, ast.UnaryOp):
+        inner = _evaluate(run, node.operand)
+        return Series(inner.t_s, -inner.values if isinstance(node.op, ast.USub) else inner.values)
+    if isinstance(node, ast.BinOp):
+        return _combine(node.op, _evaluate(run, node.left), _evaluate(run, node.right))
+    if isinstance(node, ast.Subscript) and isinstance(node.slice, ast.Constant):
+        inner = _evaluate(run, node.value)
+        if inner.values.ndim != 2:
+            raise ValueError(f"{ast.unparse(node.value)} is not a vector")
+        assert isinstance(node.slice.value, int)  # the loader lets nothing else through
+        return Series(inner.t_s, inner.values[:, node.slice.value])
+    if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+        return _call(node.func.id, _evaluate(run, node.args[0]))
+    raise ValueError(f"{ast.unparse(node)} is not allowed")
+
+
+def _look_up(run: Run, name: str) -> Series:
+    topic, _, field = name.rpartition(".")
+    topic = "/" + topic.replace(".", "/")
+    if topic not in run.topics:
+        near = difflib.get_close_matches(topic, list(run.topics), 1)
+        hint = f"did you mean {near[0][1:].replace('/', '.')}? " if near else ""
+        raise ValueError(f"the log has no topic {topic}; {hint}there are: {', '.join(sorted(run.topics))}")
+    signals = run.signals(topic)
+    if field not in signals:
+        near = difflib.get_close_matches(field, list(signals), 1)
+        hint = f"did you mean {near[0]}? " if near else ""
+        raise ValueError(f"{topic} has no field {field}; {hint}there are: {', '.join(signals)}")
+    return Series(run.t_ns(topic) * 1e-9, np.asarray(signals[field], dtype=np.float64))
+
+
+def _combine(op: ast.operator, left: Series, right: Series) -> Series:
+    t_s, a, b = _align(left, right)
+    if a.ndim == 1 and b.ndim == 2:
+        a = a[:, None]
+    elif a.ndim == 2 and b.ndim == 1 and t_s is not None:
+        b = b[:, None]
+    with np.errstate(all="ignore"):
+        match op:
+            case ast.Add():
+                values = a + b
+            case ast.Sub():
+                values = a - b
+            case ast.Mult():
+                values = a * b
+            case ast.Div():
+                values = a / b
+            case _:
+                values = a**b
+    return Series(t_s, values)
+
+
+def _align(left: Series, right: Series) -> tuple[Floats | None, Floats, Floats]:
+    """Both on the same time stamps: those of the slower one; of the other, the last value before or at each."""
+    if left.t_s is None or right.t_s is None:
+        return (left.t_s if right.t_s is None else right.t_s), left.values, right.values
+    if left.t_s.shape == right.t_s.shape and np.array_equal(left.t_s, right.t_s):
+        return left.t_s, left.values, right.values
+    base, other = (left, right) if left.t_s.size <= right.t_s.size else (right, left)
+    assert base.t_s is not None
+    assert other.t_s is not None
+    index = np.searchsorted(other.t_s, base.t_s, side="right") - 1
+    keep = index >= 0
+    base_values, other_values, t_s = base.values[keep], other.values[index[keep]], base.t_s[keep]
+    return (t_s, base_values, other_values) if base is left else (t_s, other_values, base_values)
+
+
+def _call(name: str, series: Series) -> Series:
+    values = series.values
+    if name in ACROSS:
+        if values.ndim != 2:
+            raise ValueError(f"{name} needs a vector")
+        return Series(series.t_s, ACROSS[name](values))
+    if name == "rate":
+        if series.t_s is None:
+            raise ValueError("rate needs a signal")
+        change = np.diff(values, axis=0, prepend=values[:1])
+        step = np.diff(series.t_s, prepend=series.t_s[0] - 1.0)
+        return Series(series.t_s, change / (step if values.ndim == 1 else step[:, None]))
+    with np.errstate(all="ignore"):
+        match name:
+            case "abs":
+                values = np.abs(values)
+            case "sqrt":
+                values = np.sqrt(values)
+            case "deg":
+                values = values * (180.0 / math.pi)
+            case _:
+                values = values * (math.pi / 180.0)
+    return Series(series.t_s, values)

@@ -1,0 +1,66 @@
+"""Where a log comes from: what is written into every log before the first tick."""
+
+from __future__ import annotations
+
+import os
+import platform
+import subprocess
+import sys
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from bus.icd.messages import dbc_path
+from tools.config.scenario import Resolved
+from tools.log.recorder import RunAttachment
+
+NAMED_PACKAGES = ("hilsat", "numpy", "python-can", "cantools", "mcap", "pyyaml")
+
+
+def describe_run(resolved: Resolved, address: str) -> dict[str, str]:
+    """The `run` metadata record of a log."""
+    scenario = resolved.scenario
+    start = datetime.now(UTC)
+    return {
+        "run_id": f"{scenario.name}-{start:%Y%m%dT%H%M%S}-{os.getpid()}",
+        "scenario": scenario.name,
+        "seed": str(scenario.seed),
+        "run_hash": f"{resolved.run_hash:#010x}",
+        "clock": scenario.clock.mode,
+        "tick_hz": str(scenario.clock.tick_hz),
+        "bus": address,
+        "start_utc": start.isoformat(timespec="seconds"),
+        "host": platform.node(),
+        "platform": platform.platform(),
+        "python": sys.version.split()[0],
+        "versions": ", ".join(f"{name} {_version(name)}" for name in NAMED_PACKAGES),
+        "git_rev": _git_revision(),
+    }
+
+
+def list_attachments(resolved: Resolved) -> list[RunAttachment]:
+    """The scenario as resolved and the DBC."""
+    return [
+        RunAttachment("scenario.yaml", "application/yaml", resolved.to_yaml().encode()),
+        RunAttachment("icd.dbc", "text/plain", Path(dbc_path()).read_bytes()),
+    ]
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "not installed"
+
+
+def _git_revision() -> str:
+    """Revision of the source tree that runs, with +dirty when it has changes; empty outside a checkout."""
+    here = Path(__file__).resolve().parent
+    try:
+        done = subprocess.run(
+            ["git", "-C", str(here), "describe", "--always", "--dirty=+dirty"],
+            capture_output=True, text=True, timeout=5, check=False,
+        )  # fmt: skip
+    except (OSError, subprocess.TimeoutExpired):
+        return ""
+    return done.stdout.strip()
