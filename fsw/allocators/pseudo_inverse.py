@@ -2,37 +2,68 @@
 
 from __future__ import annotations
 
-from bus.units import Vec3, Vec4
-from fsw.config import ModelConfig, PseudoInverseConfig
-from fsw.wheel_axes import spread_on_wheels
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from bus.units import Gt, Le, Vec3, Vec4
+from fsw.families import NoInternals
+from fsw.records import ALL_WHEELS, Allocation, WheelHealth
+from fsw.vehicle import Vehicle
+
+FULL: Vec4 = (1.0, 1.0, 1.0, 1.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PseudoInverseConfig:
+    """tau_rw = D0^T (D0 D0^T)^-1 tau, then limited per wheel (`clip`) or scaled as a whole (`direction`)."""
+
+    kind: Literal["pseudo_inverse"]
+    saturation: Literal["clip", "direction"] = "clip"
+    share_min: Annotated[float, Gt(0), Le(1)] = 0.15  # a wheel judged weaker is still asked as if it gave this share [1]
 
 
 class PseudoInverse:
-    """tau_rw = D0^T (D0 D0^T)^-1 tau, the least sum of squares over the wheels, then limited.
+    """The least sum of squares over the wheels' torques, then limited.
 
     "clip" limits each wheel by itself (Zhang, Ye & Sun 2018, eqs (42)-(43)): more torque, in a bent direction.
     "direction" scales all four by one factor: the body torque keeps its direction and loses length.
+
+    A wheel that delivers a share e of its command is asked for what gives the torque with the others: least squares of
+    D0 diag(e) u = tau. Shares below share_min count as share_min, so that a recovery shows. One that is not available is
+    asked for nothing.
     """
 
-    __slots__ = ("_keep_direction", "_limit")
+    __slots__ = ("_keep_direction", "_share_min", "_wheels")
 
-    def __init__(self, config: PseudoInverseConfig, model: ModelConfig) -> None:
-        self._limit = model.wheel_max_torque_nm
+    internals = NoInternals()
+
+    def __init__(self, config: PseudoInverseConfig, vehicle: Vehicle, period_s: float) -> None:
+        self._wheels = vehicle.wheels
         self._keep_direction = config.saturation == "direction"
+        self._share_min = config.share_min
 
-    def allocate(self, tau_cmd_b_nm: Vec3) -> Vec4:
+    def reset(self) -> None:
+        """There is no state."""
+
+    def allocate(self, tau_cmd_b_nm: Vec3, health: WheelHealth) -> Allocation:
         """Return wheel torques within limits [N m] for a body torque, body axes [N m]."""
-        return self.limit(spread_on_wheels(tau_cmd_b_nm))
+        wheels = self._wheels
+        if health.effectiveness == FULL and health.available == ALL_WHEELS:
+            tau_rw_nm = wheels.spread(tau_cmd_b_nm)
+        else:
+            tau_rw_nm = wheels.spread_weighted(tau_cmd_b_nm, self._find_shares(health))
+        load = wheels.find_load(tau_rw_nm)
+        if load > 1.0:
+            if self._keep_direction:
+                a, b, c, d = tau_rw_nm
+                tau_rw_nm = (a / load, b / load, c / load, d / load)
+            tau_rw_nm = wheels.limit(tau_rw_nm)  # after scaling too: rounding may leave the largest a bit above its limit
+        return Allocation(tau_rw_nm, wheels.combine(tau_rw_nm), 1.0 - load if load < 1.0 else 0.0)
 
-    def limit(self, tau_rw_nm: Vec4) -> Vec4:
-        """Return the wheel torques within +-tau_max [N m]: clipped one by one, or all scaled by one factor."""
-        a, b, c, d = tau_rw_nm
-        top = self._limit
-        if self._keep_direction:
-            largest = max(abs(a), abs(b), abs(c), abs(d))
-            if largest <= top:
-                return tau_rw_nm
-            factor = top / largest
-            a, b, c, d = a * factor, b * factor, c * factor, d * factor
-        # After scaling too: rounding may leave the largest a bit above the limit.
-        return (max(-top, min(top, a)), max(-top, min(top, b)), max(-top, min(top, c)), max(-top, min(top, d)))
+    def _find_shares(self, health: WheelHealth) -> Vec4:
+        low = self._share_min
+        a, b, c, d = (
+            0.0 if not available else share if share > low else low
+            for share, available in zip(health.effectiveness, health.available, strict=True)
+        )
+        return (a, b, c, d)

@@ -5,15 +5,27 @@ Source: Zhang, Ye & Sun 2018 (J. NUDT 40(1)), eqs (33)-(35).
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
 
-from bus.units import Vec3, Vec4
-from fsw.config import ModelConfig, SmcConfig
-from fsw.records import Demand
+from bus.linear import ZERO3
+from bus.units import Positive, Vec3
+from fsw.records import PointingError, WheelHealth
+from fsw.vehicle import Vehicle
 
-ZERO: Vec3 = (0.0, 0.0, 0.0)
 BETA_MIN = 1e-3  # the proof needs a positive slope; far below the 0.18..0.4 that the laws settle at
 BETA_MAX = 10.0  # beta^2 = 100 rad/s on the surface: a slope that no wheel set follows
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SmcConfig:
+    """Sliding-mode law with adaptive surface slope, Zhang, Ye & Sun 2018, eqs (33)-(35)."""
+
+    kind: Literal["smc"]
+    k1: Positive = 5.6  # [N m s/rad]; k2 = 1/k1
+    mu: Positive = 2.0
+    beta0: Positive = 0.4
+    beta_law: Literal["published", "lyapunov", "fixed"] = "published"
 
 
 class SmcInternals(NamedTuple):
@@ -38,7 +50,7 @@ class SlidingMode:
 
     __slots__ = ("_beta", "_beta0", "_k1", "_mu", "_q0_factor", "_s")
 
-    def __init__(self, config: SmcConfig, model: ModelConfig) -> None:
+    def __init__(self, config: SmcConfig, vehicle: Vehicle, period_s: float) -> None:
         self._k1 = config.k1
         self._mu = config.mu
         self._beta0 = config.beta0
@@ -48,22 +60,21 @@ class SlidingMode:
     def reset(self) -> None:
         """Back to the initial slope."""
         self._beta = self._beta0
-        self._s = ZERO
+        self._s = ZERO3
 
     @property
     def internals(self) -> SmcInternals:
         """Sliding variable and slope."""
         return SmcInternals(self._s, self._beta)
 
-    def step(self, dt_s: float, q_err: Vec4, omega_err_b_rad_s: Vec3, tau_fault_hat_b_nm: Vec3) -> Demand:
+    def step(self, dt_s: float, error: PointingError, tau_fault_hat_b_nm: Vec3, health: WheelHealth) -> Vec3:
         """Return the body torque -k1 s - v [N m] and advance beta by forward Euler over dt_s.
 
-        q_err              : body with respect to target, scalar first, q0 >= 0 chosen by the caller
-        omega_err_b_rad_s  : body rate with respect to target, body axes [rad/s]
         tau_fault_hat_b_nm : v, the observer's fault torque, body axes [N m]
+        health             : not used, the observer sees what the wheels do not give
         """
-        q0, qx, qy, qz = q_err
-        wx, wy, wz = omega_err_b_rad_s
+        q0, qx, qy, qz = error.q_tb
+        wx, wy, wz = error.omega_bt_b_rad_s
         beta = self._beta
         slope = beta * beta
         sx = wx + slope * qx
@@ -79,4 +90,4 @@ class SlidingMode:
             self._beta = beta if BETA_MIN <= beta <= BETA_MAX else (BETA_MAX if beta > BETA_MAX else BETA_MIN)
         self._s = (sx, sy, sz)
         vx, vy, vz = tau_fault_hat_b_nm
-        return Demand((-k1 * sx - vx, -k1 * sy - vy, -k1 * sz - vz), None)
+        return (-k1 * sx - vx, -k1 * sy - vy, -k1 * sz - vz)

@@ -1,4 +1,4 @@
-"""Saturated variable-structure attitude law without a disturbance estimate: the baseline of comparisons.
+"""Variable-structure attitude law without a disturbance estimate: the baseline of comparisons.
 
 After Hu, Xiao & Friswell, IET Control Theory & Applications 5(2), 2011. It stands in for the law that Zhang, Ye & Sun
 2018 compare with (their reference [16], Xiao, Hu, Wang & Poh 2013); it makes no claim about that one.
@@ -6,12 +6,22 @@ After Hu, Xiao & Friswell, IET Control Theory & Applications 5(2), 2011. It stan
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
 
-from bus.units import Vec3, Vec4
-from fsw.config import ModelConfig, VariableStructureConfig
-from fsw.records import Demand
-from fsw.wheel_axes import combine_wheels, project_on_wheels
+from bus.linear import ZERO3
+from bus.units import Positive, Vec3
+from fsw.records import PointingError, WheelHealth
+from fsw.vehicle import Vehicle
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VariableStructureConfig:
+    """Variable-structure law, tau = -(tau_max/epsilon) s, s = w + k q (a baseline). Made for `allocator: transpose`."""
+
+    kind: Literal["variable_structure"]
+    k: Positive = 0.12  # [rad/s]
+    epsilon: Positive = 0.003  # boundary layer [rad/s]
 
 
 class VariableStructureInternals(NamedTuple):
@@ -21,43 +31,32 @@ class VariableStructureInternals(NamedTuple):
 
 
 class VariableStructure:
-    """tau_rw = -tau_max sat(D0^T s / epsilon), s = w + k q: commands the wheels directly and ignores the observer."""
+    """tau = -(tau_max/epsilon) s, s = w + k q, whatever the observer says.
 
-    __slots__ = ("_gain", "_k", "_limit", "_s")
+    With the allocator `transpose`, which cuts each wheel's D0^T tau to its limit, the wheels get what the law was printed
+    for, tau_rw = -tau_max sat(D0^T s / epsilon).
+    """
 
-    def __init__(self, config: VariableStructureConfig, model: ModelConfig) -> None:
+    __slots__ = ("_gain", "_k", "_s")
+
+    def __init__(self, config: VariableStructureConfig, vehicle: Vehicle, period_s: float) -> None:
         self._k = config.k
-        self._limit = model.wheel_max_torque_nm
-        self._gain = model.wheel_max_torque_nm / config.epsilon
+        self._gain = -max(vehicle.wheels.max_torque_nm) / config.epsilon
         self.reset()
 
     def reset(self) -> None:
         """The law has no memory; only the telemetry record is cleared."""
-        self._s = (0.0, 0.0, 0.0)
+        self._s = ZERO3
 
     @property
     def internals(self) -> VariableStructureInternals:
         """Sliding variable."""
         return VariableStructureInternals(self._s)
 
-    def step(self, dt_s: float, q_err: Vec4, omega_err_b_rad_s: Vec3, tau_fault_hat_b_nm: Vec3) -> Demand:
-        """Return wheel torques [N m] and the body torque they add up to.
-
-        q_err              : body with respect to target, scalar first, q0 >= 0 chosen by the caller
-        omega_err_b_rad_s  : body rate with respect to target, body axes [rad/s]
-        tau_fault_hat_b_nm : not used, this law has no disturbance estimate
-        """
-        _, qx, qy, qz = q_err
-        wx, wy, wz = omega_err_b_rad_s
-        k = self._k
-        s = (wx + k * qx, wy + k * qy, wz + k * qz)
-        self._s = s
-        a, b, c, d = project_on_wheels(s)
-        gain, limit = -self._gain, self._limit
-        tau_rw_nm = (
-            max(-limit, min(limit, gain * a)),
-            max(-limit, min(limit, gain * b)),
-            max(-limit, min(limit, gain * c)),
-            max(-limit, min(limit, gain * d)),
-        )
-        return Demand(combine_wheels(tau_rw_nm), tau_rw_nm)
+    def step(self, dt_s: float, error: PointingError, tau_fault_hat_b_nm: Vec3, health: WheelHealth) -> Vec3:
+        """Return the body torque [N m]. Fault torque and health are not used: this law has no disturbance estimate."""
+        _, qx, qy, qz = error.q_tb
+        wx, wy, wz = error.omega_bt_b_rad_s
+        k, gain = self._k, self._gain
+        x, y, z = self._s = (wx + k * qx, wy + k * qy, wz + k * qz)
+        return (gain * x, gain * y, gain * z)

@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
-from bus.units import Vec3, Vec4
-from fsw.config import DirectConfig, ModelConfig
-from fsw.estimation.rotation import turn
-from fsw.records import Estimate, Sensors
+from dataclasses import dataclass
+from typing import Literal
 
-ZERO: Vec3 = (0.0, 0.0, 0.0)
-IDENTITY: Vec4 = (1.0, 0.0, 0.0, 0.0)
+from bus.attitude import IDENTITY
+from bus.linear import ZERO3
+from fsw.estimation.rotation import turn
+from fsw.families import NoInternals
+from fsw.records import Estimate, Sensors
+from fsw.vehicle import Vehicle
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DirectConfig:
+    """Star-tracker attitude carried forward with the gyro rate; no filtering. For ideal sensors."""
+
+    kind: Literal["direct"]
 
 
 class Direct:
@@ -21,8 +30,10 @@ class Direct:
 
     __slots__ = ("_known", "_q", "_t_s")
 
-    def __init__(self, config: DirectConfig, model: ModelConfig) -> None:
-        """`config` and `model` carry nothing that this estimator needs."""
+    internals = NoInternals()
+
+    def __init__(self, config: DirectConfig, vehicle: Vehicle, period_s: float) -> None:
+        """Nothing of these is needed: it reads the time from the sensors."""
         self.reset()
 
     def reset(self) -> None:
@@ -33,14 +44,15 @@ class Direct:
 
     def step(self, sensors: Sensors) -> Estimate:
         """Return attitude and rate [rad/s]; valid once an attitude was seen, while star tracker and gyro are good."""
-        _, t_s, omega, (valid_x, valid_y, valid_z), q_ib_meas, star_new, star_valid, age_s, _, _, _ = sensors
+        omega = sensors.omega_meas_b_rad_s
         x, y, z = omega
-        if star_new:
+        if sensors.star_new:
             self._known = True
-            self._q = turn(q_ib_meas, x * age_s, y * age_s, z * age_s) if age_s > 0.0 else q_ib_meas
+            age_s = sensors.star_age_s
+            self._q = turn(sensors.q_ib_meas, x * age_s, y * age_s, z * age_s) if age_s > 0.0 else sensors.q_ib_meas
         elif self._known:
-            dt_s = t_s - self._t_s
+            dt_s = sensors.t_s - self._t_s
             self._q = turn(self._q, x * dt_s, y * dt_s, z * dt_s)
-        self._t_s = t_s
-        valid = self._known and star_valid and valid_x and valid_y and valid_z
-        return tuple.__new__(Estimate, (self._q, omega, ZERO, valid))
+        self._t_s = sensors.t_s
+        valid = self._known and sensors.star_valid and False not in sensors.gyro_valid
+        return Estimate(self._q, omega, ZERO3, valid)

@@ -9,13 +9,15 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Annotated, Literal, NamedTuple
 
 from bus.attitude import conjugate, dcm_from_quaternion, log_map, multiply, normalise
-from bus.units import Mat3, Vec3, Vec4
-from fsw.config import MekfConfig, ModelConfig
+from bus.linear import times
+from bus.units import Gt, Mat3, Positive, Unit, Vec3, Vec4
 from fsw.estimation.rotation import turn
 from fsw.records import Estimate, Sensors
+from fsw.vehicle import Vehicle
 
 _ARCSEC = math.pi / 648000.0  # rad per second of arc
 _COVARIANCE_PERIOD_S = 0.25  # the covariance is carried forward at least this often
@@ -26,6 +28,19 @@ _VALID_SIGMA_RAD = 0.02  # attitude known worse than this is not fit for pointin
 
 _Sym3 = tuple[float, float, float, float, float, float]  # xx, xy, xz, yy, yz, zz
 _Mat9 = tuple[float, float, float, float, float, float, float, float, float]  # row by row
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MekfConfig:
+    """Multiplicative extended Kalman filter with gyro bias states (Lefferts, Markley & Shuster 1982)."""
+
+    kind: Literal["mekf"]
+    gyro_arw_rad_sqrt_s: Positive = 2.91e-5
+    gyro_rrw_rad_s_sqrt_s: Positive = 1e-7
+    star_noise_arcsec: Annotated[Vec3, Unit("arcsec")] = (10.0, 10.0, 52.0)
+    initial_attitude_sigma_deg: Annotated[float, Unit("deg"), Gt(0)] = 1.0
+    initial_bias_sigma_rad_s: Positive = 1e-3
+    gate_sigma: Positive = 6.0  # innovations beyond this are rejected and counted
 
 
 class MekfInternals(NamedTuple):
@@ -41,10 +56,10 @@ class MekfInternals(NamedTuple):
 
 
 class Mekf:
-    """Attitude, rate and gyro bias with their covariance. Implements `fsw.records.Estimator`."""
+    """Attitude, rate and gyro bias with their covariance. Implements `fsw.families.Estimator`."""
 
-    def __init__(self, config: MekfConfig, model: ModelConfig, tick_s: float) -> None:
-        """tick_s: period between calls of `step` [s]. The filter is kinematic: `model` is not used."""
+    def __init__(self, config: MekfConfig, vehicle: Vehicle, tick_s: float) -> None:
+        """tick_s: period between calls of `step` [s]. The filter is kinematic: nothing of the vehicle is used."""
         self._tick_s = tick_s
         self._arw2 = config.gyro_arw_rad_sqrt_s**2
         self._rrw2 = config.gyro_rrw_rad_s_sqrt_s**2
@@ -107,8 +122,9 @@ class Mekf:
             self._carry_covariance()
         return Estimate(self._q, (wx, wy, wz), b, gyro_valid and self._fit)
 
-    def read_internals(self) -> MekfInternals:
-        """Return covariance and counters as they stand after the last star-tracker frame."""
+    @property
+    def internals(self) -> MekfInternals:
+        """Covariance and counters as they stand after the last star-tracker frame."""
         return MekfInternals(self._ptt, self._ptb, self._pbb, self._nis, self._accepted, self._rejected, self._restarts)
 
     # -- state --------------------------------------------------------------------------------------------------
@@ -209,7 +225,7 @@ class Mekf:
         theta, bias = self._update_covariance(inverse, nu, gyro_valid)
         if ticks:
             self._step_forward(late_s)
-            turned = _times_vector(rotation, bias)
+            turned = times(rotation, bias)
             theta = (theta[0] - late_s * turned[0], theta[1] - late_s * turned[1], theta[2] - late_s * turned[2])
         self._apply(theta, bias)
 
@@ -306,15 +322,6 @@ class Mekf:
 
 
 # -- symmetric 3 x 3 matrices (xx, xy, xz, yy, yz, zz) -----------------------------------------------------------------
-
-
-def _times_vector(m: Mat3, v: Vec3) -> Vec3:
-    x, y, z = v
-    return (
-        m[0][0] * x + m[0][1] * y + m[0][2] * z,
-        m[1][0] * x + m[1][1] * y + m[1][2] * z,
-        m[2][0] * x + m[2][1] * y + m[2][2] * z,
-    )
 
 
 def _inverse(s: _Sym3) -> _Sym3:

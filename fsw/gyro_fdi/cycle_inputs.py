@@ -19,7 +19,6 @@ class CycleInputs(NamedTuple):
     gyro_valid: tuple[bool, bool, bool]
     h_rw_nms: Vec4  # where a wheel's speed is not known, carried on with the torque commanded
     tau_rw_cmd_nm: Vec4  # commanded, mean over the cycle
-    wheel_valid: tuple[bool, bool, bool, bool]
     star_q: Vec4 | None  # newest star-tracker attitude that arrived in the cycle
     star_tick: int  # when that was measured
 
@@ -68,7 +67,6 @@ class CycleCollector:
             sensors.gyro_valid,
             self.h_rw_nms,
             (t[0] * k, t[1] * k, t[2] * k, t[3] * k) if self._ticks > 1 else tau_rw_cmd_nm,
-            sensors.wheel_valid,
             self._star_q,
             self._star_tick,
         )
@@ -76,8 +74,8 @@ class CycleCollector:
         return cycle
 
     def _follow_wheels(self, sensors: Sensors, tau_rw_cmd_nm: Vec4, dt_s: float) -> None:
-        h, valid, last = sensors.h_rw_nms, sensors.wheel_valid, self.h_rw_nms
-        if last is None or (valid[0] and valid[1] and valid[2] and valid[3]):
+        h, valid, last = sensors.wheel_momenta(), sensors.wheels_valid(), self.h_rw_nms
+        if last is None or False not in valid:
             self.h_rw_nms = h
             return
         held = [h[i] if valid[i] else last[i] - tau_rw_cmd_nm[i] * dt_s for i in (0, 1, 2, 3)]

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus.errors import DesignError
+from bus.linear import invert_symmetric
 from bus.units import Mat3
-from fsw.gyro_fdi.ts_model import OPERATING_RATE_RAD_S, VERTEX_SIGNS, invert, make_a
+from fsw.gyro_fdi.ts_model import OPERATING_RATE_RAD_S, VERTEX_SIGNS, make_a
 
 GAINS_DIR = Path(__file__).resolve().parent
 Array = NDArray[np.float64]
@@ -74,7 +75,7 @@ def sample(a: Array, b: Array, tick_s: float) -> tuple[Array, Array]:
 
 
 def _sample_bank(inertia_kgm2: Mat3, rules: list[dict[str, Any]], tick_s: float, what: str) -> tuple[Rule, ...]:
-    j_inv, bank = invert(inertia_kgm2), []
+    j_inv, bank = invert_symmetric(inertia_kgm2), []
     for number, (rule, signs) in enumerate(zip(rules, VERTEX_SIGNS, strict=True)):
         x, y, z = (OPERATING_RATE_RAD_S * sign for sign in signs)
         a_i = np.array(make_a(inertia_kgm2, j_inv, (x, y, z)))

@@ -8,11 +8,10 @@ can disturb this rate. The star tracker corrects attitude, momentum and a slow e
 from __future__ import annotations
 
 from bus.attitude import conjugate, log_map, multiply, normalise
+from bus.linear import ZERO3, invert_symmetric, times
 from bus.units import Mat3, Vec3, Vec4
 from fsw.estimation.rotation import turn
-from fsw.gyro_fdi.ts_model import invert
 
-_ZERO: Vec3 = (0.0, 0.0, 0.0)
 _GATE_RAD, _GATE_RATE_RAD_S = 0.005, 0.02  # a star-tracker frame further off than gate + rate * age is a glitch ...
 _GLITCHES_IN_A_ROW = 3  # ... unless as many come in a row
 _RESTART_AFTER_S = 5.0  # without frames for this long, the next one is taken as it is
@@ -25,7 +24,7 @@ class MomentumFilter:
 
     def __init__(self, inertia_kgm2: Mat3, bandwidth_rad_s: float, gyroscopic: bool) -> None:
         """gyroscopic: the wheels' momentum turns with the body (False: the papers' plant, where it does not)."""
-        self._j, self._j_inv = inertia_kgm2, invert(inertia_kgm2)
+        self._j, self._j_inv = inertia_kgm2, invert_symmetric(inertia_kgm2)
         self._bandwidth = bandwidth_rad_s
         self._gyroscopic = gyroscopic
         self.reset()
@@ -34,10 +33,10 @@ class MomentumFilter:
         """Forget everything; `start` must follow."""
         self.started = False
         self.q_ib: Vec4 = (1.0, 0.0, 0.0, 0.0)
-        self.omega_bi_b_rad_s = _ZERO
+        self.omega_bi_b_rad_s = ZERO3
         self.since_frame_s = 0.0  # since the last accepted star-tracker frame
         self.glitches = 0
-        self._p = self._torque = self._h = _ZERO
+        self._p = self._torque = self._h = ZERO3
         self._in_a_row = 0
 
     def start(self, q_ib: Vec4, omega_bi_b_rad_s: Vec3, h_rw_b_nms: Vec3) -> None:
@@ -45,13 +44,13 @@ class MomentumFilter:
         self.reset()
         self.started = True
         self.q_ib, self.omega_bi_b_rad_s, self._h = q_ib, omega_bi_b_rad_s, h_rw_b_nms
-        m = _times(self._j, omega_bi_b_rad_s)
+        m = times(self._j, omega_bi_b_rad_s)
         self._p = (m[0] + h_rw_b_nms[0], m[1] + h_rw_b_nms[1], m[2] + h_rw_b_nms[2])
 
     def read_rate(self, h_rw_b_nms: Vec3) -> Vec3:
         """Return the rate [rad/s] that a new wheel momentum implies, nothing else having changed."""
         p, h = self._p, h_rw_b_nms
-        return _times(self._j_inv, (p[0] - h[0], p[1] - h[1], p[2] - h[2]))
+        return times(self._j_inv, (p[0] - h[0], p[1] - h[1], p[2] - h[2]))
 
     def propagate(self, h_rw_b_nms: Vec3, dt_s: float) -> None:
         """Carry the state over dt_s (midpoint rule) with the wheel momentum of its end, body axes [N m s]."""
@@ -61,7 +60,7 @@ class MomentumFilter:
         t = self._turn_rate(w, p)
         half = 0.5 * dt
         middle = (p[0] + half * (t[0] + d[0]), p[1] + half * (t[1] + d[1]), p[2] + half * (t[2] + d[2]))
-        wm = _times(self._j_inv, (middle[0] - h[0], middle[1] - h[1], middle[2] - h[2]))
+        wm = times(self._j_inv, (middle[0] - h[0], middle[1] - h[1], middle[2] - h[2]))
         t = self._turn_rate(wm, middle)
         self._p = (p[0] + dt * (t[0] + d[0]), p[1] + dt * (t[1] + d[1]), p[2] + dt * (t[2] + d[2]))
         self.omega_bi_b_rad_s = w = self.read_rate(h)
@@ -88,7 +87,7 @@ class MomentumFilter:
         w = min(self._bandwidth, 0.5 / age) if age > 0.0 else self._bandwidth
         k_q, k_p, k_d = 2.0 * w * age, 2.0 * w * w * age, w * w * w * age
         self.q_ib = normalise(turn(self.q_ib, k_q * x, k_q * y, k_q * z))
-        jx, jy, jz = _times(self._j, (x, y, z))
+        jx, jy, jz = times(self._j, (x, y, z))
         p, d = self._p, self._torque
         self._p = (p[0] + k_p * jx, p[1] + k_p * jy, p[2] + k_p * jz)
         self._torque = (d[0] + k_d * jx, d[1] + k_d * jy, d[2] + k_d * jz)
@@ -99,7 +98,7 @@ class MomentumFilter:
     def follow_gyro(self, error_b_rad_s: Vec3, dt_s: float) -> None:
         """Without a star tracker: pull the momentum after trusted gyro axes, error = gyro - this rate [rad/s]."""
         k = min(1.0, _GYRO_PULL_RAD_S * dt_s)
-        jx, jy, jz = _times(self._j, error_b_rad_s)
+        jx, jy, jz = times(self._j, error_b_rad_s)
         p, d = self._p, self._torque
         self._p = (p[0] + k * jx, p[1] + k * jy, p[2] + k * jz)
         fade = max(0.0, 1.0 - dt_s / _TORQUE_MEMORY_S)
@@ -114,8 +113,3 @@ class MomentumFilter:
             px, py, pz = px - h[0], py - h[1], pz - h[2]
         return (py * w[2] - pz * w[1], pz * w[0] - px * w[2], px * w[1] - py * w[0])
 
-
-def _times(m: Mat3, v: Vec3) -> Vec3:
-    (a, b, c), (d, e, f), (g, h, i) = m
-    x, y, z = v
-    return (a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z)

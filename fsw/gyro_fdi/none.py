@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Literal
 
-from bus.units import Vec3, Vec4
-from fsw.config import ModelConfig, NoDetectorConfig
+from bus.linear import ZERO3
+from bus.units import Vec4
+from fsw.families import NoInternals
 from fsw.records import Detection, Estimate, Sensors
-
-ZERO: Vec3 = (0.0, 0.0, 0.0)
-NO_WHEEL_ALARM = (False, False, False, False)
+from fsw.vehicle import Vehicle
 
 
-class NoInternals(NamedTuple):
-    """Nothing to show."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NoDetectorConfig:
+    """No fault detection: the estimate passes through."""
+
+    kind: Literal["none"]
 
 
 class NoDetector:
@@ -21,13 +24,12 @@ class NoDetector:
 
     internals = NoInternals()
 
-    def __init__(self, config: NoDetectorConfig, model: ModelConfig, tick_s: float) -> None:
-        pass
+    def __init__(self, config: NoDetectorConfig, vehicle: Vehicle, tick_s: float) -> None:
+        """Nothing of these is needed."""
 
     def reset(self) -> None:
         """Nothing is held."""
 
     def step(self, sensors: Sensors, estimate: Estimate, tau_rw_cmd_nm: Vec4) -> Detection:
         """Return the estimate unchanged."""
-        rate_good = False not in sensors.gyro_valid
-        return tuple.__new__(Detection, (estimate, ZERO, (0, 0, 0), NO_WHEEL_ALARM, ZERO, False, rate_good))
+        return Detection(estimate, ZERO3, (0, 0, 0), ZERO3, False, False not in sensors.gyro_valid)

@@ -8,12 +8,12 @@ momentum may be counted; the controllers are sampled exactly and the body by a f
 
 from __future__ import annotations
 
+from bus.linear import ZERO3, invert_symmetric
 from bus.units import Mat3, Vec3
 from fsw.gyro_fdi.gains import Rule, load_bank, require_stable_static
-from fsw.gyro_fdi.ts_model import clip_premise, invert, is_inside, weigh_exact9
+from fsw.gyro_fdi.ts_model import clip_premise, is_inside, weigh_exact9
 
 OBSERVERS = ("linear", "ts_a", "ts_b", "ts_bx", "static")
-_ZERO: Vec3 = (0.0, 0.0, 0.0)
 _REST = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
@@ -33,7 +33,7 @@ class GyroObserver:
             raise ValueError(f'gyro observer "{kind}" is not known; there are: {", ".join(OBSERVERS)}')
         self._kind = kind
         self._tick_s = tick_s
-        self._j, self._j_inv = inertia_kgm2, invert(inertia_kgm2)
+        self._j, self._j_inv = inertia_kgm2, invert_symmetric(inertia_kgm2)
         self._gain = static_gain_rad_s
         self._rules: tuple[Rule, ...] = ()
         if kind == "static":
@@ -42,18 +42,18 @@ class GyroObserver:
             self._rules = load_bank(inertia_kgm2, "b" if kind in ("ts_b", "ts_bx") else "a", tick_s)
             if kind == "linear":
                 self._rules = self._rules[:1]
-        self.reset(_ZERO)
+        self.reset(ZERO3)
 
     def reset(self, omega_bi_b_rad_s: Vec3) -> None:
         """Start from a rate [rad/s] at rest: no residual so far."""
         self.omega_hat_b_rad_s = omega_bi_b_rad_s
         self.premise_out_of_range = False
         self._states: list[tuple[float, ...]] = [_REST] * len(self._rules)
-        self._v = _ZERO
+        self._v = ZERO3
         self._premise = omega_bi_b_rad_s
-        self._h = _ZERO
+        self._h = ZERO3
 
-    def predict(self, tau_b_nm: Vec3, h_rw_b_nms: Vec3 = _ZERO, premise_rad_s: Vec3 | None = None) -> Vec3:
+    def predict(self, tau_b_nm: Vec3, h_rw_b_nms: Vec3 = ZERO3, premise_rad_s: Vec3 | None = None) -> Vec3:
         """Return the rate [rad/s] expected at this tick, before the gyro is seen.
 
         tau_b_nm      : torque on the body over the tick that ends now, body axes [N m]
@@ -99,7 +99,7 @@ class GyroObserver:
         self._v = self._inject()
 
     def step(
-        self, omega_meas_b_rad_s: Vec3, tau_b_nm: Vec3, h_rw_b_nms: Vec3 = _ZERO, premise_rad_s: Vec3 | None = None
+        self, omega_meas_b_rad_s: Vec3, tau_b_nm: Vec3, h_rw_b_nms: Vec3 = ZERO3, premise_rad_s: Vec3 | None = None
     ) -> Vec3:
         """Return the residual y - xh [rad/s] of this tick: the paper's estimate of the gyro fault, body axes."""
         x, y, z = self.predict(tau_b_nm, h_rw_b_nms, premise_rad_s)

@@ -9,14 +9,13 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from bus.attitude import conjugate, dcm_from_quaternion, log_map, multiply, normalise
+from bus.attitude import IDENTITY, conjugate, dcm_from_quaternion, log_map, multiply, normalise
+from bus.linear import ZERO3
 from bus.units import Mat3, Vec3, Vec4
 from fsw.estimation.rotation import turn
+from fsw.records import Flags3
 
-_IDENTITY: Vec4 = (1.0, 0.0, 0.0, 0.0)
 _ZERO9 = (0.0,) * 9
-_ZERO: Vec3 = (0.0, 0.0, 0.0)
-Flags3 = tuple[bool, bool, bool]  # one per axis
 Sum9 = tuple[float, ...]  # integral of R(q_g), row by row [s]
 
 
@@ -70,9 +69,9 @@ class Parity:
 
     def reset(self) -> None:
         """Forget everything, the rate of frames included."""
-        self._q: Vec4 = _IDENTITY
+        self._q: Vec4 = IDENTITY
         self._lever: Sum9 = _ZERO9
-        self._turned, self._coast = _ZERO, _ZERO
+        self._turned, self._coast = ZERO3, ZERO3
         self._period = 0  # ticks between frames, the shortest seen
         self._last_tick = -1
         self._windows: tuple[int, ...] = ()
@@ -219,7 +218,7 @@ def _solve(m: Mat3, v: Vec3) -> Vec3:
     p, q, r = e * i - f * h, f * g - d * i, d * h - e * g
     det = a * p + b * q + c * r
     if abs(det) < 1e-12:
-        return _ZERO
+        return ZERO3
     x, y, z = v
     return (
         (p * x + (c * h - b * i) * y + (b * f - c * e) * z) / det,

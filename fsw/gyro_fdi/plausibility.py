@@ -5,22 +5,17 @@ from __future__ import annotations
 import math
 from collections import deque
 
-from bus.units import Mat3, Vec3
-from fsw.gyro_fdi.ts_model import invert
-from fsw.wheel_axes import D0_B_RW
+from bus.units import Vec3
+from fsw.vehicle import Vehicle
 
 _MEAN_S, _SLOPE_S = 0.25, 1.0  # means over the first are compared at the distance of the second
 _QUIET_START_S = 2.0
 _SIGMAS = 7.0
 
 
-def bound_acceleration(inertia_kgm2: Mat3, wheel_torque_nm: float) -> float:
+def bound_acceleration(vehicle: Vehicle) -> float:
     """Return the largest angular acceleration about any body axis that the wheels can cause [rad/s^2]."""
-    worst = 0.0
-    for row in invert(inertia_kgm2):
-        per_wheel = [sum(r * d[wheel] for r, d in zip(row, D0_B_RW, strict=True)) for wheel in range(4)]
-        worst = max(worst, sum(abs(a) for a in per_wheel) * wheel_torque_nm)
-    return worst
+    return max(vehicle.wheels.find_largest(row) for row in vehicle.inverse_inertia)
 
 
 class Plausibility:

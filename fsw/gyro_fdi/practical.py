@@ -1,8 +1,8 @@
-"""The detector that flies: gyro and wheel faults told apart, the lying axis replaced, and given back when it heals.
+"""The detector that flies: gyro faults told from everything else, the lying axis replaced, and given back when it heals.
 
 Built from the parts beside it: gyro-less rate (momentum_filter), kinematic parity (parity), physical bounds
-(plausibility), the torque observer for when the star tracker is away (observers, isolation), wheel alarms
-(wheel_monitor), state of each axis (recovery), kind and size of a fault (classification). See docs/gyro-fdi.md.
+(plausibility), the torque observer for when the star tracker is away (observers, isolation), state of each axis
+(recovery), kind and size of a fault (classification). See docs/gyro-fdi.md.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from collections import deque
 from typing import NamedTuple
 
 from bus.attitude import conjugate, log_map, multiply, normalise
+from bus.linear import ZERO3
 from bus.units import Vec3, Vec4
-from fsw.config import ModelConfig, PracticalDetectorConfig
 from fsw.estimation.rotation import turn
 from fsw.gyro_fdi.classification import Classifier, FaultKind, Verdict
 from fsw.gyro_fdi.cycle_inputs import CycleCollector, CycleInputs
@@ -24,12 +24,11 @@ from fsw.gyro_fdi.momentum_filter import MomentumFilter
 from fsw.gyro_fdi.observers import GyroObserver
 from fsw.gyro_fdi.parity import Frame, Healthy, Mark, Parity, interpolate
 from fsw.gyro_fdi.plausibility import Plausibility, bound_acceleration
+from fsw.gyro_fdi.practical_settings import PracticalDetectorConfig
 from fsw.gyro_fdi.recovery import AxisRecovery, AxisState
-from fsw.gyro_fdi.wheel_monitor import WheelMonitor
 from fsw.records import Detection, Estimate, Sensors
-from fsw.wheel_axes import combine_wheels
+from fsw.vehicle import Vehicle
 
-_ZERO: Vec3 = (0.0, 0.0, 0.0)
 _ARCSEC = math.pi / 648000.0
 _ACCELERATION_MARGIN = 1.35
 _HISTORY_S = 1.5  # longest star-tracker latency that is bridged
@@ -41,7 +40,7 @@ _BLIND_FACTOR = 10.0  # past this many times safe_after_s without gyro and stars
 
 
 class PracticalInternals(NamedTuple):
-    """What the detector sees, for telemetry. Three values are per axis, four per wheel."""
+    """What the detector sees, for telemetry. Three values are per axis."""
 
     fault_kind: Vec3  # FaultKind
     fault_magnitude_rad_s: Vec3  # constant: signed value; periodic: amplitude
@@ -54,38 +53,37 @@ class PracticalInternals(NamedTuple):
     omega_gyroless_b_rad_s: Vec3
     bias_b_rad_s: Vec3
     parity_worst_sigma: float
-    wheel_residual_nm: Vec4
     star_glitches: int
     premise_out_of_range: int
     estimator_used: int  # 1: the estimate handed on is the estimator's, 0: the detector's own
 
 
 class PracticalDetector:
-    """Detector of gyro and wheel faults with recovery. Implements `fsw.records.Detector`."""
+    """Detector of gyro faults with recovery. Implements `fsw.families.Detector`."""
 
-    def __init__(self, config: PracticalDetectorConfig, model: ModelConfig, tick_s: float) -> None:
+    def __init__(self, config: PracticalDetectorConfig, vehicle: Vehicle, tick_s: float) -> None:
         """tick_s: period between calls of `step` [s]. Raises DesignError where the observer has no stable design."""
         ticks = max(1, round(config.cycle_s / tick_s))
         self._tick_s, self._cycle_s = tick_s, ticks * tick_s
         self._config = config
+        self._wheels = vehicle.wheels
         self._recover = config.recovery == "on"
-        self._wheel_momentum = model.wheel_momentum
-        inertia, cycle_s = model.inertia_kgm2, self._cycle_s
+        self._wheel_momentum = vehicle.wheel_momentum
+        inertia, cycle_s = vehicle.inertia_kgm2, self._cycle_s
         fog = choose_fog(config)
         arw = fog.arw_rad_sqrt_s
         a, b, c = config.star_noise_arcsec
         healthy = Healthy(arw, fog.bias_max_rad_s, fog.scale_max, (a * _ARCSEC, b * _ARCSEC, c * _ARCSEC))
         acceleration = config.acceleration_max_rad_s2
         if acceleration is None:
-            acceleration = _ACCELERATION_MARGIN * bound_acceleration(inertia, model.wheel_max_torque_nm)
+            acceleration = _ACCELERATION_MARGIN * bound_acceleration(vehicle)
         self._collector = CycleCollector(tick_s, ticks)
-        self._gyroless = MomentumFilter(inertia, config.filter_rate_rad_s, model.wheel_momentum)
+        self._gyroless = MomentumFilter(inertia, config.filter_rate_rad_s, vehicle.wheel_momentum)
         self._stellar = GyroStellarFilter()
         self._parity = Parity(healthy, config.parity_windows_s, tick_s, config.parity_sigma, config.suspect_sigma)
         self._plausibility = Plausibility(cycle_s, acceleration, arw, fog.lsb_rad, config.suspect_s)
         self._observer = GyroObserver(config.observer, inertia, cycle_s, config.static_gain_rad_s)
         self._bound = ModelErrorBound(inertia, cycle_s, config.static_gain_rad_s, config.observer_threshold_rad_s)
-        self._wheels = WheelMonitor(cycle_s, config.wheel_threshold_nm, config.wheel_filter_s)
         self._axes = tuple(
             AxisRecovery(cycle_s, arw, config.clear_threshold_rad_s, config.clear_filter_s, config.clear_after_s)
             for _ in range(3)
@@ -102,18 +100,16 @@ class PracticalDetector:
         self._parity.reset()
         self._plausibility.reset()
         self._bound.reset()
-        self._wheels.reset()
         for axis in self._axes:
             axis.reset()
         for classifier in self._classifiers:
             classifier.start()
-        self._observer.reset(_ZERO)
+        self._observer.reset(ZERO3)
         self._marks.clear()
-        self._h_b = _ZERO
+        self._h_b = ZERO3
         self._star_tick = 0
-        self._r1 = self._r2 = self._y = _ZERO
+        self._r1 = self._r2 = self._y = ZERO3
         self._replaced = (False, False, False)
-        self._wheel_alarm = (False, False, False, False)
         self._agreed_cycles = 0
         self._trusts_estimator = False
         self._estimate: Estimate | None = None
@@ -138,7 +134,6 @@ class PracticalDetector:
             self._gyroless.omega_bi_b_rad_s,
             self._stellar.bias_b_rad_s,
             self._parity.worst,
-            self._wheels.residual_nm,
             self._gyroless.glitches,
             int(self._observer.premise_out_of_range),
             int(self._trusts_estimator),
@@ -153,13 +148,13 @@ class PracticalDetector:
         if not self._gyroless.started:
             if sensors.star_new:
                 self._start(sensors)
-            return self._pass_through(sensors, estimate, _ZERO)
+            return self._pass_through(sensors, estimate, ZERO3)
         self._y = sensors.omega_meas_b_rad_s
-        step = _ZERO
+        step = ZERO3
         if cycle is not None:
             step = self._run(cycle, estimate)
         if not self._recover:
-            return self._pass_through(sensors, estimate, _ZERO)
+            return self._pass_through(sensors, estimate, ZERO3)
         return self._hand_on(cycle is not None, estimate, step)
 
     # -- one detection cycle -------------------------------------------------------------------------------------
@@ -167,7 +162,7 @@ class PracticalDetector:
     def _run(self, cycle: CycleInputs, estimate: Estimate) -> Vec3:
         """Filters, residuals, decisions; return the step of the rate source [rad/s]."""
         dt_s, y = cycle.dt_s, cycle.rate_b_rad_s
-        h_b = combine_wheels(cycle.h_rw_nms)
+        h_b = self._wheels.combine(cycle.h_rw_nms)
         gyroless, b = self._gyroless, self._stellar.bias_b_rad_s
         gyroless.propagate(h_b, dt_s)
         x, yy, z = y[0] - b[0], y[1] - b[1], y[2] - b[2]
@@ -179,7 +174,6 @@ class PracticalDetector:
         self._parity.integrate(tested, w, dt_s)
         self._marks.append(self._parity.mark(cycle.tick))
         self._predict_observer(h_b, dt_s, y)
-        self._wheel_alarm = self._wheels.step(cycle.h_rw_nms, cycle.tau_rw_cmd_nm, cycle.wheel_valid)
         alarm, window_s = (False, False, False), 0.0
         if cycle.star_q is not None:
             alarm, window_s = self._use_star(cycle.star_q, cycle.star_tick, suspect)
@@ -242,13 +236,13 @@ class PracticalDetector:
         h0, self._h_b = self._h_b, h_b
         tau = ((h0[0] - h_b[0]) / dt_s, (h0[1] - h_b[1]) / dt_s, (h0[2] - h_b[2]) / dt_s)
         b = self._stellar.bias_b_rad_s
-        x = self._observer.predict(tau, h_b if self._wheel_momentum else _ZERO)
+        x = self._observer.predict(tau, h_b if self._wheel_momentum else ZERO3)
         self._r1 = r1 = (y[0] - b[0] - x[0], y[1] - b[1] - x[1], y[2] - b[2] - x[2])
         replaced = self._replaced
         if replaced[0] or replaced[1] or replaced[2]:
             w = self._gyroless.omega_bi_b_rad_s
             stars = self._gyroless.since_frame_s <= self._config.star_lost_after_s
-            away = (w[0] - x[0], w[1] - x[1], w[2] - x[2]) if stars else _ZERO
+            away = (w[0] - x[0], w[1] - x[1], w[2] - x[2]) if stars else ZERO3
             r1 = (
                 away[0] if replaced[0] else r1[0],
                 away[1] if replaced[1] else r1[1],
@@ -344,7 +338,7 @@ class PracticalDetector:
         """Begin with the first star-tracker frame and the gyro's rate, brought to this tick."""
         y, late_s = sensors.omega_meas_b_rad_s, sensors.star_age_s
         q = turn(normalise(sensors.q_ib_meas), y[0] * late_s, y[1] * late_s, y[2] * late_s)
-        self._h_b = combine_wheels(self._collector.h_rw_nms or sensors.h_rw_nms)
+        self._h_b = self._wheels.combine(self._collector.h_rw_nms or sensors.wheel_momenta())
         self._gyroless.start(q, y, self._h_b)
         self._stellar.q_ib = q
         self._observer.reset(y)
@@ -362,7 +356,7 @@ class PracticalDetector:
         if any_replaced:
             g = self._gyroless.omega_bi_b_rad_s
             if not fresh and self._collector.h_rw_nms is not None:
-                g = self._gyroless.read_rate(combine_wheels(self._collector.h_rw_nms))
+                g = self._gyroless.read_rate(self._wheels.combine(self._collector.h_rw_nms))
             w = (g[0] if replaced[0] else w[0], g[1] if replaced[1] else w[1], g[2] if replaced[2] else w[2])
         if fresh or self._estimate is None:
             q = self._gyroless.q_ib if any_replaced else self._stellar.q_ib
@@ -386,9 +380,10 @@ class PracticalDetector:
         blind = self._is_blind()
         far_gone = self._coasting_s > _BLIND_FACTOR * self._config.safe_after_s
         states = (int(i.state), int(j.state), int(k.state))
-        return Detection(estimate, step, states, self._wheel_alarm, fault, blind, not far_gone)
+        return Detection(estimate, step, states, fault, blind, not far_gone)
 
     def _pass_through(self, sensors: Sensors, estimate: Estimate, step: Vec3) -> Detection:
         """Before the start, or with recovery off: the estimator's estimate, and the findings beside it."""
-        valid = sensors.gyro_valid
-        return self._report(estimate, step)._replace(rate_good=valid[0] and valid[1] and valid[2])
+        report = self._report(estimate, step)
+        report.rate_good = False not in sensors.gyro_valid
+        return report

@@ -6,20 +6,34 @@ knows the true rate; wheel momentum is counted where the model says so; threshol
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Annotated, Literal, NamedTuple
 
 from bus.attitude import normalise
-from bus.units import Vec3, Vec4
-from fsw.config import ModelConfig, Wang2010DetectorConfig
+from bus.linear import ZERO3, subtract
+from bus.units import Ge, Gt, Positive, RadS, Vec3, Vec4
 from fsw.estimation.rotation import turn
 from fsw.gyro_fdi.momentum_filter import MomentumFilter
 from fsw.gyro_fdi.observers import GyroObserver
 from fsw.records import Detection, Estimate, Sensors
-from fsw.wheel_axes import combine_wheels
+from fsw.vehicle import Vehicle
 
-_ZERO: Vec3 = (0.0, 0.0, 0.0)
-_NO_WHEEL_ALARM = (False, False, False, False)
 _PREMISE_BANDWIDTH_RAD_S = 0.6
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Wang2010DetectorConfig:
+    """The gyro fault observers of Wang, Li & Ma 2010: one residual against one threshold. See docs/gyro-fdi.md.
+
+    Gyro alone and open loop at heart: it holds only while torque, inertia and wheel momentum are known.
+    """
+
+    kind: Literal["wang2010"]
+    observer: Literal["linear", "ts_a", "ts_b", "ts_bx", "static"] = "ts_b"
+    threshold_rad_s: Annotated[RadS, Gt(0)] = 0.0008  # on the residual of each axis
+    debounce_ticks: Annotated[int, Ge(1)] = 1  # residuals beyond the threshold in a row
+    static_gain_rad_s: Positive = 0.05  # for `static`
+    recovery: Literal["off", "on"] = "off"  # on: the residual is taken off the rate while the alarm stands
 
 
 class Wang2010Internals(NamedTuple):
@@ -32,23 +46,24 @@ class Wang2010Internals(NamedTuple):
 
 
 class Wang2010Detector:
-    """Residual of one gyro observer driven by the torque commanded. Implements `fsw.records.Detector`."""
+    """Residual of one gyro observer driven by the torque commanded. Implements `fsw.families.Detector`."""
 
-    def __init__(self, config: Wang2010DetectorConfig, model: ModelConfig, tick_s: float) -> None:
+    def __init__(self, config: Wang2010DetectorConfig, vehicle: Vehicle, tick_s: float) -> None:
         """tick_s: period between calls of `step` [s]. Raises DesignError where there is no stable design for it."""
         self._config = config
         self._tick_s = tick_s
-        self._wheel_momentum = model.wheel_momentum
-        self._observer = GyroObserver(config.observer, model.inertia_kgm2, tick_s, config.static_gain_rad_s)
-        self._premise = MomentumFilter(model.inertia_kgm2, _PREMISE_BANDWIDTH_RAD_S, model.wheel_momentum)
+        self._wheel_momentum = vehicle.wheel_momentum
+        self._wheels = vehicle.wheels
+        self._observer = GyroObserver(config.observer, vehicle.inertia_kgm2, tick_s, config.static_gain_rad_s)
+        self._premise = MomentumFilter(vehicle.inertia_kgm2, _PREMISE_BANDWIDTH_RAD_S, vehicle.wheel_momentum)
         self.reset()
 
     def reset(self) -> None:
         """Forget everything; the next valid gyro sample starts the observer again."""
         self._started = False
-        self._observer.reset(_ZERO)
+        self._observer.reset(ZERO3)
         self._premise.reset()
-        self._residual = _ZERO
+        self._residual = ZERO3
         self._counts = [0, 0, 0]
         self._alarm_t_s = [-1.0, -1.0, -1.0]
 
@@ -63,22 +78,22 @@ class Wang2010Detector:
 
     def step(self, sensors: Sensors, estimate: Estimate, tau_rw_cmd_nm: Vec4) -> Detection:
         """Return the estimate, corrected where recovery is on [rad/s], and the axes beyond the threshold."""
-        y, h_b = sensors.omega_meas_b_rad_s, combine_wheels(sensors.h_rw_nms)
+        y, h_b = sensors.omega_meas_b_rad_s, self._wheels.combine(sensors.wheel_momenta())
         if not self._started:
             if estimate.valid:
                 self._started = True
                 self._observer.reset(y)
-            return Detection(estimate, _ZERO, (0, 0, 0), _NO_WHEEL_ALARM, _ZERO, False, all(sensors.gyro_valid))
+            return Detection(estimate, ZERO3, (0, 0, 0), ZERO3, False, False not in sensors.gyro_valid)
         premise = self._follow_premise(sensors, h_b) if self._config.observer == "ts_a" else None
-        momentum = h_b if self._wheel_momentum else _ZERO
-        self._residual = r = self._observer.step(y, combine_wheels(tau_rw_cmd_nm), momentum, premise)
+        momentum = h_b if self._wheel_momentum else ZERO3
+        self._residual = r = self._observer.step(y, self._wheels.combine(tau_rw_cmd_nm), momentum, premise)
         state = self._judge(sensors.t_s)
         fault = (r[0] if state[0] else 0.0, r[1] if state[1] else 0.0, r[2] if state[2] else 0.0)
         if self._config.recovery == "on":
-            w = estimate.omega_bi_b_rad_s
-            estimate = estimate._replace(omega_bi_b_rad_s=(w[0] - fault[0], w[1] - fault[1], w[2] - fault[2]))
+            rate = subtract(estimate.omega_bi_b_rad_s, fault)
+            estimate = Estimate(estimate.q_ib, rate, estimate.bias_b_rad_s, estimate.valid)
         # Taking the fault off leaves the rate where it was before: no step for the observers behind.
-        return Detection(estimate, _ZERO, state, _NO_WHEEL_ALARM, fault, False, all(sensors.gyro_valid))
+        return Detection(estimate, ZERO3, state, fault, False, False not in sensors.gyro_valid)
 
     def _judge(self, t_s: float) -> tuple[int, int, int]:
         """State of each axis: 0 nominal, 2 alarm."""

@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+from fsw.families import Observer, Registry
+from fsw.observers.ilo import Ilo, IloConfig
+from fsw.observers.none import NoObserver, NoObserverConfig
 
-from fsw.config import ModelConfig
-from fsw.observers.ilo import Ilo
-from fsw.observers.none import NoObserver
-from fsw.records import Observer
-
-# kind in the settings -> factory(config, model)
-REGISTRY: dict[str, Callable[[Any, ModelConfig], Observer]] = {
-    "ilo": Ilo,
-    "none": NoObserver,
-}
+REGISTRY: Registry[Observer] = Registry(
+    (IloConfig, Ilo),
+    (NoObserverConfig, NoObserver),
+)

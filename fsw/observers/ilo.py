@@ -5,17 +5,30 @@ Source: Zhang, Ye & Sun 2018 (J. NUDT 40(1)), eqs (12)-(13).
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from typing import Annotated, Literal, NamedTuple
 
 from bus.errors import ConfigError, StepSizeError
-from bus.units import Mat3, Vec3
-from fsw.config import IloConfig, ModelConfig
+from bus.linear import ZERO3
+from bus.units import Ge, Gt, Le, NonNegative, Seconds, Vec3
+from fsw.vehicle import Vehicle
 
-ZERO: Vec3 = (0.0, 0.0, 0.0)
 PERIOD_TOLERANCE = 0.01  # the gains belong to one period; 1 % of jitter in its nominal value is harmless
+GAP_PERIODS = 5.0  # forward Euler over more of them is no estimate
 # A rate error of 1 rad/s would read as 98 N m, a thousand times what the wheels have: only the state is lost.
 RESTART_ABOVE_RAD_S = 1.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class IloConfig:
+    """Iterative learning observer, Zhang, Ye & Sun 2018, eqs (12)-(13). Gains belong to `period_s`."""
+
+    kind: Literal["ilo"]
+    period_s: Annotated[Seconds, Gt(0)] = 0.1
+    k1: Annotated[float, Ge(0), Le(1)] = 0.15  # [1]
+    k2: NonNegative = 98.0  # [N m s/rad]
+    k3: NonNegative = 21.0  # [N m s/rad]
+    lambda_nm_s: NonNegative = 0.1  # [N m s/rad]
 
 
 class IloInternals(NamedTuple):
@@ -23,25 +36,7 @@ class IloInternals(NamedTuple):
 
     omega_hat_b_rad_s: Vec3
     omega_err_b_rad_s: Vec3  # measured minus estimated rate at the last step
-    tau_fault_hat_b_nm: Vec3
     restarts: int
-
-
-def invert_inertia(inertia_kgm2: Mat3) -> Mat3:
-    """Inverse of the inertia matrix [1/(kg m^2)], by cofactors. Raises ConfigError when it is not positive definite."""
-    (a, b, c), (d, e, f), (g, h, i) = inertia_kgm2
-    minor_2 = a * e - b * d
-    det = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
-    if not (a > 0.0 and minor_2 > 0.0 and det > 0.0):
-        raise ConfigError(
-            f"model.inertia_kgm2 = {inertia_kgm2} kg m^2 is not positive definite "
-            f"(leading minors {a:g}, {minor_2:g}, {det:g}, all must be > 0); check its signs and its symmetry"
-        )
-    return (
-        ((e * i - f * h) / det, (c * h - b * i) / det, (b * f - c * e) / det),
-        ((f * g - d * i) / det, (a * i - c * g) / det, (c * d - a * f) / det),
-        ((d * h - e * g) / det, (b * g - a * h) / det, (a * e - b * d) / det),
-    )
 
 
 def scale_gains(config: IloConfig, period_s: float) -> IloConfig:
@@ -76,34 +71,35 @@ class Ilo:
     """
 
     __slots__ = (
-        "_inertia", "_inverse", "_k1", "_k2", "_k3", "_lambda", "_omega", "_period_s", "_restarts", "_started", "_v",
-        "_wheel_momentum", "_wt",
+        "_config", "_inertia", "_inverse", "_omega", "_restarts", "_started", "_v", "_wheel_momentum", "_wt",
     )  # fmt: skip
 
-    def __init__(self, config: IloConfig, model: ModelConfig) -> None:
-        """Raises ConfigError when the inertia is not positive definite."""
-        self._period_s = config.period_s
-        self._k1 = config.k1
-        self._k2 = config.k2
-        self._k3 = config.k3
-        self._lambda = config.lambda_nm_s
-        self._inertia = model.inertia_kgm2
-        self._inverse = invert_inertia(model.inertia_kgm2)
-        self._wheel_momentum = model.wheel_momentum
+    def __init__(self, config: IloConfig, vehicle: Vehicle, period_s: float) -> None:
+        """period_s: nominal control period [s]. Raises StepSizeError unless the gains' own is within 1 % of it."""
+        if not abs(period_s - config.period_s) <= PERIOD_TOLERANCE * config.period_s:
+            raise StepSizeError(
+                f"observer ilo would be stepped every {period_s:g} s, but its gains belong to observer.period_s = "
+                f"{config.period_s:g} s (+-1 %); set period_s to the control period and scale k1, k2, k3 with it (see "
+                "docs/ilo-smc.md)"
+            )
+        self._config = config
+        self._inertia = vehicle.inertia_kgm2
+        self._inverse = vehicle.inverse_inertia
+        self._wheel_momentum = vehicle.wheel_momentum
         self.reset()
 
     def reset(self) -> None:
         """Forget everything; the next step takes the measured rate as the estimate and returns zero torque."""
         self._started = False
         self._restarts = 0
-        self._omega = ZERO
-        self._wt = ZERO
-        self._v = ZERO
+        self._omega = ZERO3
+        self._wt = ZERO3
+        self._v = ZERO3
 
     @property
     def internals(self) -> IloInternals:
-        """Rate estimate, its error, fault torque and the count of restarts."""
-        return IloInternals(self._omega, self._wt, self._v, self._restarts)
+        """Rate estimate, its error and the count of restarts."""
+        return IloInternals(self._omega, self._wt, self._restarts)
 
     def shift_rate(self, step_b_rad_s: Vec3) -> None:
         """Move the rate estimate by a known jump of the rate source [rad/s], so that it does not read as a torque."""
@@ -111,22 +107,23 @@ class Ilo:
         self._omega = (x + step_b_rad_s[0], y + step_b_rad_s[1], z + step_b_rad_s[2])
 
     def step(self, dt_s: float, omega_bi_b_rad_s: Vec3, tau_cmd_b_nm: Vec3, h_rw_b_nms: Vec3) -> Vec3:
-        """Advance one control period and return the lumped fault torque on the body, body axes [N m].
+        """Advance by dt_s and return the lumped fault torque on the body, body axes [N m].
 
         Eqs (12)-(13) at T = dt_s: the estimate is carried over the interval that ends now by forward Euler, with the
         torque commanded and the v held in that interval; then the rate error wt, then v = K1 v + K2 wt + K3 wt_before.
+        After lost ticks dt_s is longer than the period that the gains belong to: they are then scaled to it, see
+        `scale_gains`, and after more than GAP_PERIODS the estimate starts afresh.
 
         omega_bi_b_rad_s : measured body rate, body axes [rad/s]
-        tau_cmd_b_nm     : D0 @ (wheel torques commanded, after limiting) over the interval that ends now [N m]
+        tau_cmd_b_nm     : D0 @ (wheel torques commanded, as sent) over the interval that ends now [N m]
         h_rw_b_nms       : wheel momentum relative to the body, body axes [N m s]; left out for the paper's plant
-        Raises StepSizeError unless dt_s is within 1 % of the configured period.
         """
-        period_s = self._period_s
+        config = self._config
+        period_s = config.period_s
         if not -PERIOD_TOLERANCE * period_s <= dt_s - period_s <= PERIOD_TOLERANCE * period_s:
-            raise StepSizeError(
-                f"observer ilo was stepped by {dt_s:g} s, but its gains belong to observer.period_s = {period_s:g} s "
-                f"(+-1 %); set period_s to the control period and scale k1, k2, k3 with it (see docs/ilo-smc.md)"
-            )
+            if not 0.0 < dt_s <= GAP_PERIODS * period_s:
+                return self._restart(omega_bi_b_rad_s)
+            config = scale_gains(config, dt_s)
         if not self._started:
             return self._restart(omega_bi_b_rad_s)
         self._propagate(dt_s, tau_cmd_b_nm, h_rw_b_nms)
@@ -139,7 +136,7 @@ class Ilo:
         if not (-bound < ex < bound and -bound < ey < bound and -bound < ez < bound):
             self._restarts += 1
             return self._restart(omega_bi_b_rad_s)
-        k1, k2, k3 = self._k1, self._k2, self._k3
+        k1, k2, k3 = config.k1, config.k2, config.k3
         vx, vy, vz = self._v
         v = (k1 * vx + k2 * ex + k3 * px, k1 * vy + k2 * ey + k3 * py, k1 * vz + k2 * ez + k3 * pz)
         self._wt = (ex, ey, ez)
@@ -150,9 +147,9 @@ class Ilo:
         """Take the measured rate as the estimate and return zero torque [N m]."""
         self._started = True
         self._omega = omega_bi_b_rad_s
-        self._wt = ZERO
-        self._v = ZERO
-        return ZERO
+        self._wt = ZERO3
+        self._v = ZERO3
+        return ZERO3
 
     def _propagate(self, dt_s: float, tau_cmd_b_nm: Vec3, h_rw_b_nms: Vec3) -> None:
         """Forward Euler on eq (12) over the interval that ends now."""
@@ -167,7 +164,7 @@ class Ilo:
             hz += h_rw_b_nms[2]
         ex, ey, ez = self._wt
         vx, vy, vz = self._v
-        gain = self._lambda
+        gain = self._config.lambda_nm_s
         tx = tau_cmd_b_nm[0] + vx + gain * ex - (wy * hz - wz * hy)
         ty = tau_cmd_b_nm[1] + vy + gain * ey - (wz * hx - wx * hz)
         tz = tau_cmd_b_nm[2] + vz + gain * ez - (wx * hy - wy * hx)

@@ -2,10 +2,20 @@
 
 from __future__ import annotations
 
-from bus.units import Vec3
-from fsw.config import ModelConfig, NoObserverConfig
+from dataclasses import dataclass
+from typing import Literal
 
-ZERO: Vec3 = (0.0, 0.0, 0.0)
+from bus.linear import ZERO3
+from bus.units import Vec3
+from fsw.families import NoInternals
+from fsw.vehicle import Vehicle
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NoObserverConfig:
+    """No fault-torque estimate (zeros)."""
+
+    kind: Literal["none"]
 
 
 class NoObserver:
@@ -13,15 +23,17 @@ class NoObserver:
 
     __slots__ = ()
 
-    def __init__(self, config: NoObserverConfig, model: ModelConfig) -> None:
-        """`config` and `model` carry nothing that this observer needs."""
+    internals = NoInternals()
+
+    def __init__(self, config: NoObserverConfig, vehicle: Vehicle, period_s: float) -> None:
+        """Nothing of these is needed."""
 
     def reset(self) -> None:
         """There is no state."""
 
     def step(self, dt_s: float, omega_bi_b_rad_s: Vec3, tau_cmd_b_nm: Vec3, h_rw_b_nms: Vec3) -> Vec3:
         """Return zero fault torque, body axes [N m]."""
-        return ZERO
+        return ZERO3
 
     def shift_rate(self, step_b_rad_s: Vec3) -> None:
         """There is no rate state to move."""

@@ -1,0 +1,43 @@
+"""Each wheel takes the part of a body torque that lies along its axis, as far as it can."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from bus.units import Vec3
+from fsw.families import NoInternals
+from fsw.records import Allocation, WheelHealth
+from fsw.vehicle import Vehicle
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TransposeConfig:
+    """tau_rw = sat(D0^T tau): no wheel knows of the others, and together they give more than was asked for."""
+
+    kind: Literal["transpose"]
+
+
+class Transpose:
+    """tau_rw = sat(D0^T tau), each wheel cut to its own limit. One that is not available gets nothing.
+
+    For laws that saturate by design: D0 D0^T > 0, so that what the wheels give together never opposes what was asked for.
+    """
+
+    __slots__ = ("_wheels",)
+
+    internals = NoInternals()
+
+    def __init__(self, config: TransposeConfig, vehicle: Vehicle, period_s: float) -> None:
+        self._wheels = vehicle.wheels
+
+    def reset(self) -> None:
+        """There is no state."""
+
+    def allocate(self, tau_cmd_b_nm: Vec3, health: WheelHealth) -> Allocation:
+        """Return wheel torques within limits [N m] for a body torque, body axes [N m]."""
+        wheels = self._wheels
+        a, b, c, d = wheels.project(tau_cmd_b_nm)
+        p, q, r, s = health.available
+        tau_rw_nm = wheels.limit((a if p else 0.0, b if q else 0.0, c if r else 0.0, d if s else 0.0))
+        return Allocation(tau_rw_nm, wheels.combine(tau_rw_nm), 1.0 - wheels.find_load(tau_rw_nm))

@@ -1,0 +1,93 @@
+"""The satellite as the flight software believes it to be: inertia, wheel axes, limits. The truth is the plant's business."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated
+
+from bus.errors import ConfigError
+from bus.linear import invert_symmetric
+from bus.units import Gt, Mat3, RadS, Unit, Vec3, Vec4
+from fsw.wheel_geometry import SKEW, WheelGeometry
+
+NewtonMetre = Annotated[float, Unit("N m"), Gt(0)]
+KgM2 = Annotated[float, Unit("kg m^2"), Gt(0)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WheelModelConfig:
+    """One wheel as the flight software knows it."""
+
+    axis_b: Vec3  # spin axis, body axes; normalised when read
+    max_torque_nm: NewtonMetre = 0.1
+    max_speed_rad_s: Annotated[RadS, Gt(0)] = 1000.0
+    inertia_kgm2: KgM2 = 0.01  # rotor, about its spin axis
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ModelConfig:
+    """What the flight software believes about the satellite."""
+
+    inertia_kgm2: Annotated[Mat3, Unit("kg m^2")]
+    wheel_max_torque_nm: NewtonMetre = 0.1  # of each wheel, where `wheels` is not given
+    wheel_max_speed_rad_s: Annotated[RadS, Gt(0)] = 1000.0
+    wheel_inertia_kgm2: KgM2 = 0.01
+    wheels: tuple[WheelModelConfig, WheelModelConfig, WheelModelConfig, WheelModelConfig] | None = None  # None: x, y, z, skew
+    wheel_momentum: bool = True  # count the wheels' momentum in the gyroscopic term
+
+
+class Vehicle:
+    """The satellite, ready to compute with. Shared by all algorithms of a flight; nothing in it changes."""
+
+    __slots__ = ("inertia_kgm2", "inverse_inertia", "wheel_inertia_kgm2", "wheel_max_speed_rad_s", "wheel_momentum", "wheels")
+
+    def __init__(self, config: ModelConfig) -> None:
+        """Raises ConfigError when the inertia is not positive definite, or an axis has no direction."""
+        self.inertia_kgm2: Mat3 = config.inertia_kgm2
+        self.inverse_inertia: Mat3 = invert_inertia(config.inertia_kgm2)
+        self.wheel_momentum = config.wheel_momentum  # whether the wheels' momentum is in the gyroscopic term
+        a, b, c, d = config.wheels or _four_alike(config)
+        self.wheel_max_speed_rad_s: Vec4 = (a.max_speed_rad_s, b.max_speed_rad_s, c.max_speed_rad_s, d.max_speed_rad_s)
+        self.wheel_inertia_kgm2: Vec4 = (a.inertia_kgm2, b.inertia_kgm2, c.inertia_kgm2, d.inertia_kgm2)
+        self.wheels = WheelGeometry(
+            (_point(a.axis_b, 0), _point(b.axis_b, 1), _point(c.axis_b, 2), _point(d.axis_b, 3)),
+            (a.max_torque_nm, b.max_torque_nm, c.max_torque_nm, d.max_torque_nm),
+        )
+
+
+def invert_inertia(inertia_kgm2: Mat3) -> Mat3:
+    """Return the inverse of the inertia matrix [1/(kg m^2)]. Raises ConfigError when it is not positive definite."""
+    (a, b, c), (d, e, f), (g, h, i) = inertia_kgm2
+    minor_2 = a * e - b * d
+    det = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+    if not (a > 0.0 and minor_2 > 0.0 and det > 0.0):
+        raise ConfigError(
+            f"model.inertia_kgm2 = {inertia_kgm2} kg m^2 is not positive definite "
+            f"(leading minors {a:g}, {minor_2:g}, {det:g}, all must be > 0); check its signs and its symmetry"
+        )
+    return invert_symmetric(inertia_kgm2)
+
+
+def _four_alike(config: ModelConfig) -> tuple[WheelModelConfig, ...]:
+    """Three wheels along the body axes and one askew to all of them, Zhang, Ye & Sun 2018, eq (5)."""
+    axes: tuple[Vec3, ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (SKEW, SKEW, SKEW))
+    return tuple(
+        WheelModelConfig(
+            axis_b=axis,
+            max_torque_nm=config.wheel_max_torque_nm,
+            max_speed_rad_s=config.wheel_max_speed_rad_s,
+            inertia_kgm2=config.wheel_inertia_kgm2,
+        )
+        for axis in axes
+    )
+
+
+def _point(axis: Vec3, wheel: int) -> Vec3:
+    x, y, z = axis
+    length = math.sqrt(x * x + y * y + z * z)
+    if not length > 1e-6:
+        raise ConfigError(f"model.wheels[{wheel}].axis_b = {axis} has no direction; its length is {length:g}")
+    if abs(length - 1.0) < 1e-15:
+        return axis
+    return (x / length, y / length, z / length)

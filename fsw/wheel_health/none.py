@@ -1,0 +1,36 @@
+"""No wheel health: every wheel is taken to give what it is told."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from bus.units import Vec3, Vec4
+from fsw.families import NoInternals, Wheels
+from fsw.records import HEALTHY, WheelHealth
+from fsw.vehicle import Vehicle
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NoWheelHealthConfig:
+    """Every wheel is taken to be healthy."""
+
+    kind: Literal["none"]
+
+
+class NoWheelHealth:
+    """Every wheel is healthy, always."""
+
+    __slots__ = ()
+
+    internals = NoInternals()
+
+    def __init__(self, config: NoWheelHealthConfig, vehicle: Vehicle, period_s: float) -> None:
+        """Nothing of these is needed."""
+
+    def reset(self) -> None:
+        """There is no state."""
+
+    def step(self, dt_s: float, wheels: Wheels, tau_rw_cmd_nm: Vec4, tau_fault_hat_b_nm: Vec3 | None) -> WheelHealth:
+        """Return full health."""
+        return HEALTHY
