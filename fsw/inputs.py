@@ -108,7 +108,7 @@ class Inputs:
         values = decode_sensors(usual, self._group.expected)
         if values is None:
             return self._receive_each(tick, batch)
-        s1, s2, s3, s4, x, y, z, plant_tick = values
+        s1, s2, s3, s4, _, _, _, _, x, y, z, plant_tick = values
         top = self._speed_limit_rad_s
         if not (-top <= s1 <= top and -top <= s2 <= top and -top <= s3 <= top and -top <= s4 <= top):
             return self._receive_each(tick, batch)

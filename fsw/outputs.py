@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from bus.icd.codec import encode_commands, encode_CYCLE_DONE, encode_HEARTBEAT_FSW, encode_rw_cmds
+from bus.icd.codec import encode_CYCLE_DONE, encode_HEARTBEAT_FSW, encode_rw_cmds
 from bus.units import Vec4
 
 COUNTER_PERIOD = 15  # alive counters run 0..14
 STATE_BOOT, STATE_STOPPED, STATE_OPERATIONAL, STATE_FAILED = 0, 4, 5, 128
 WHEEL_OFF, WHEEL_TORQUE = 0, 1
+ALL_OFF, ALL_TORQUE = (WHEEL_OFF,) * 4, (WHEEL_TORQUE,) * 4
 
 
 class Outputs:
@@ -36,10 +37,7 @@ class Outputs:
         """
         counter = self._cycle_counter
         self._cycle_counter = (counter + 1) % COUNTER_PERIOD
-        due = tick % self._heartbeat_ticks == 0
-        if enabled and not due:
-            return encode_commands(counter, tau_rw_cmd_nm, sync_cnt, mode, tick, slips)
-        batch = encode_rw_cmds(counter, WHEEL_TORQUE if enabled else WHEEL_OFF, tau_rw_cmd_nm, sync_cnt)
-        if due:
+        batch = encode_rw_cmds(counter, ALL_TORQUE if enabled else ALL_OFF, tau_rw_cmd_nm, sync_cnt)
+        if tick % self._heartbeat_ticks == 0:
             batch += self.heartbeat(STATE_OPERATIONAL)
         return batch + encode_CYCLE_DONE(counter, mode, tick, slips)  # more slips than fit are sent as 0xFFFF

@@ -20,7 +20,6 @@ from bus.icd.codec import (
     encode_fogs,
     encode_HEARTBEAT_PLANT,
     encode_rw_tlms,
-    encode_sensors,
     encode_STR_QA,
     encode_STR_QB,
     encode_SYNC,
@@ -41,7 +40,6 @@ STAR_NOT_VALID = 15
 HEARTBEAT_S = 1.0
 Torques = tuple[float | None, float | None, float | None, float | None]  # None: no command
 NO_TORQUE: Torques = (0.0, 0.0, 0.0, 0.0)
-WHEELS_OK, GYRO_OK = (0, 0, 0, 0), (0, 0, 0)  # STATUS of every unit
 NEVER = -(10**9)  # tick of a command that has not come yet
 
 
@@ -111,9 +109,6 @@ class PlantServer:
         extra = b"" if star is None else self._star_frames(star)
         if tick % self._heartbeat_ticks == 0:
             extra += self._slow_frames(tick)
-        if wheel_status == WHEELS_OK and gyro_status == GYRO_OK and not any_silent:
-            batch = encode_sensors(counter, speed, self._current_ma, sync_cnt, rate, tick)
-            return batch[:-FRAME_SIZE] + extra + batch[-FRAME_SIZE:] if extra else batch
         wheels = encode_rw_tlms(counter, wheel_status, speed, self._current_ma, sync_cnt)
         fogs = encode_fogs(counter, gyro_status, rate, sync_cnt)
         if any_silent:

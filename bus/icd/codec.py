@@ -9,8 +9,7 @@ decode_<NAME>(data) returns (counter, nibble, *signals) of the 8 data bytes, or 
 data and id, or where the length is not 8. It raises on no bytes whatever.
 
 decode_<batch>(batch, counter) takes all frames of one tick at once where they are what they nearly always are, and
-returns None everywhere else: then the frames must be looked at one by one. encode_<batch> makes such a batch; vectors
-must be tuples, for what was rounded for one is used again for the very same one.
+returns None everywhere else: then the frames must be looked at one by one.
 """
 
 from __future__ import annotations
@@ -46,8 +45,6 @@ _pack_BIxx = Struct("<BIxx").pack
 _unpack_BIxx = Struct("<BBIxx").unpack
 _pack_BiBx = Struct("<BiBx").pack
 _unpack_BiBx = Struct("<BBiBx").unpack
-_pack_iBxx = Struct("<iBxx").pack
-_unpack_iBxx = Struct("<BiBxx").unpack
 _pack_iHb = Struct("<iHb").pack
 _unpack_iHb = Struct("<BiHb").unpack
 _pack_ihB = Struct("<ihB").pack
@@ -71,19 +68,6 @@ _HEAD_STR_QA = tuple(_heads(0x1B0, 8, byte) for byte in range(256))
 _HEAD_STR_QB = tuple(_heads(0x1B1, 8, byte) for byte in range(256))
 _HEAD_HEARTBEAT_PLANT = tuple(_heads(0x701, 8, byte) for byte in range(256))
 _HEAD_HEARTBEAT_FSW = tuple(_heads(0x702, 8, byte) for byte in range(256))
-_ID_RW1_TLM = _HEAD_RW1_TLM[0][:8]
-_ID_RW2_TLM = _HEAD_RW2_TLM[0][:8]
-_ID_RW3_TLM = _HEAD_RW3_TLM[0][:8]
-_ID_RW4_TLM = _HEAD_RW4_TLM[0][:8]
-_ID_FOGX_RATE = _HEAD_FOGX_RATE[0][:8]
-_ID_FOGY_RATE = _HEAD_FOGY_RATE[0][:8]
-_ID_FOGZ_RATE = _HEAD_FOGZ_RATE[0][:8]
-_ID_SYNC = _HEAD_SYNC[0][:8]
-_ID_RW1_CMD = _HEAD_RW1_CMD[0][:8]
-_ID_RW2_CMD = _HEAD_RW2_CMD[0][:8]
-_ID_RW3_CMD = _HEAD_RW3_CMD[0][:8]
-_ID_RW4_CMD = _HEAD_RW4_CMD[0][:8]
-_ID_CYCLE_DONE = _HEAD_CYCLE_DONE[0][:8]
 
 
 def _saturate(frame_id: int, *values: float) -> bytes:
@@ -162,7 +146,7 @@ def decode_TIME(data: bytes) -> tuple[int, int, int, float] | None:
 def encode_RW1_CMD(counter: int, mode: int, torque_nm: float, sync_cnt: int) -> bytes:
     """Frame 0x110 as a 16-byte can_frame."""
     try:
-        data = _pack_iBxx(round(torque_nm / 1e-07) * 256 + _NIBBLES[mode][counter], sync_cnt)
+        data = _pack_BiBx(_NIBBLES[mode][counter], round(torque_nm / 1e-07), sync_cnt)
     except _OUT_OF_RANGE:
         return _saturate(0x110, counter, mode, torque_nm, sync_cnt)
     return _HEAD_RW1_CMD[_crc(data, 0x17)] + data
@@ -171,19 +155,19 @@ def encode_RW1_CMD(counter: int, mode: int, torque_nm: float, sync_cnt: int) -> 
 def decode_RW1_CMD(data: bytes) -> tuple[int, int, float, int] | None:
     """(counter, mode, torque_nm, sync_cnt) of frame 0x110."""
     try:
-        checksum, word, sync_cnt = _unpack_iBxx(data)
+        checksum, nibbles, torque_nm, sync_cnt = _unpack_BiBx(data)
     except error:
         return None
     if _crc(data, 0xF7) != RESIDUES[checksum]:
         return None
-    counter, mode = _SPLIT[word & 0xFF]
-    return counter, mode, (word >> 8) * 1e-07, sync_cnt
+    counter, mode = _SPLIT[nibbles]
+    return counter, mode, torque_nm * 1e-07, sync_cnt
 
 
 def encode_RW2_CMD(counter: int, mode: int, torque_nm: float, sync_cnt: int) -> bytes:
     """Frame 0x111 as a 16-byte can_frame."""
     try:
-        data = _pack_iBxx(round(torque_nm / 1e-07) * 256 + _NIBBLES[mode][counter], sync_cnt)
+        data = _pack_BiBx(_NIBBLES[mode][counter], round(torque_nm / 1e-07), sync_cnt)
     except _OUT_OF_RANGE:
         return _saturate(0x111, counter, mode, torque_nm, sync_cnt)
     return _HEAD_RW2_CMD[_crc(data, 0x5B)] + data
@@ -192,19 +176,19 @@ def encode_RW2_CMD(counter: int, mode: int, torque_nm: float, sync_cnt: int) -> 
 def decode_RW2_CMD(data: bytes) -> tuple[int, int, float, int] | None:
     """(counter, mode, torque_nm, sync_cnt) of frame 0x111."""
     try:
-        checksum, word, sync_cnt = _unpack_iBxx(data)
+        checksum, nibbles, torque_nm, sync_cnt = _unpack_BiBx(data)
     except error:
         return None
     if _crc(data, 0xEA) != RESIDUES[checksum]:
         return None
-    counter, mode = _SPLIT[word & 0xFF]
-    return counter, mode, (word >> 8) * 1e-07, sync_cnt
+    counter, mode = _SPLIT[nibbles]
+    return counter, mode, torque_nm * 1e-07, sync_cnt
 
 
 def encode_RW3_CMD(counter: int, mode: int, torque_nm: float, sync_cnt: int) -> bytes:
     """Frame 0x112 as a 16-byte can_frame."""
     try:
-        data = _pack_iBxx(round(torque_nm / 1e-07) * 256 + _NIBBLES[mode][counter], sync_cnt)
+        data = _pack_BiBx(_NIBBLES[mode][counter], round(torque_nm / 1e-07), sync_cnt)
     except _OUT_OF_RANGE:
         return _saturate(0x112, counter, mode, torque_nm, sync_cnt)
     return _HEAD_RW3_CMD[_crc(data, 0x8F)] + data
@@ -213,19 +197,19 @@ def encode_RW3_CMD(counter: int, mode: int, torque_nm: float, sync_cnt: int) -> 
 def decode_RW3_CMD(data: bytes) -> tuple[int, int, float, int] | None:
     """(counter, mode, torque_nm, sync_cnt) of frame 0x112."""
     try:
-        checksum, word, sync_cnt = _unpack_iBxx(data)
+        checksum, nibbles, torque_nm, sync_cnt = _unpack_BiBx(data)
     except error:
         return None
     if _crc(data, 0xCD) != RESIDUES[checksum]:
         return None
-    counter, mode = _SPLIT[word & 0xFF]
-    return counter, mode, (word >> 8) * 1e-07, sync_cnt
+    counter, mode = _SPLIT[nibbles]
+    return counter, mode, torque_nm * 1e-07, sync_cnt
 
 
 def encode_RW4_CMD(counter: int, mode: int, torque_nm: float, sync_cnt: int) -> bytes:
     """Frame 0x113 as a 16-byte can_frame."""
     try:
-        data = _pack_iBxx(round(torque_nm / 1e-07) * 256 + _NIBBLES[mode][counter], sync_cnt)
+        data = _pack_BiBx(_NIBBLES[mode][counter], round(torque_nm / 1e-07), sync_cnt)
     except _OUT_OF_RANGE:
         return _saturate(0x113, counter, mode, torque_nm, sync_cnt)
     return _HEAD_RW4_CMD[_crc(data, 0xC3)] + data
@@ -234,13 +218,13 @@ def encode_RW4_CMD(counter: int, mode: int, torque_nm: float, sync_cnt: int) -> 
 def decode_RW4_CMD(data: bytes) -> tuple[int, int, float, int] | None:
     """(counter, mode, torque_nm, sync_cnt) of frame 0x113."""
     try:
-        checksum, word, sync_cnt = _unpack_iBxx(data)
+        checksum, nibbles, torque_nm, sync_cnt = _unpack_BiBx(data)
     except error:
         return None
     if _crc(data, 0xD0) != RESIDUES[checksum]:
         return None
-    counter, mode = _SPLIT[word & 0xFF]
-    return counter, mode, (word >> 8) * 1e-07, sync_cnt
+    counter, mode = _SPLIT[nibbles]
+    return counter, mode, torque_nm * 1e-07, sync_cnt
 
 
 def encode_RW1_TLM(counter: int, status: int, speed_rad_s: float, current_ma: float, sync_cnt: int) -> bytes:
@@ -478,21 +462,22 @@ def decode_HEARTBEAT_FSW(data: bytes) -> tuple[int, int, int, int] | None:
     return counter, reserved, state, run_hash
 
 
-def encode_rw_cmds(counter: int, mode: int, torque_nm: Floats4, sync_cnt: int) -> bytes:
+def encode_rw_cmds(counter: int, mode: Nibbles4, torque_nm: Floats4, sync_cnt: int) -> bytes:
     """Frames 0x110..0x113 as 64 bytes."""
+    mode_0, mode_1, mode_2, mode_3 = mode
     torque_nm_0, torque_nm_1, torque_nm_2, torque_nm_3 = torque_nm
     try:
-        nibbles = _NIBBLES[mode][counter]
-        data_0 = _pack_iBxx(round(torque_nm_0 / 1e-07) * 256 + nibbles, sync_cnt)
-        data_1 = _pack_iBxx(round(torque_nm_1 / 1e-07) * 256 + nibbles, sync_cnt)
-        data_2 = _pack_iBxx(round(torque_nm_2 / 1e-07) * 256 + nibbles, sync_cnt)
-        data_3 = _pack_iBxx(round(torque_nm_3 / 1e-07) * 256 + nibbles, sync_cnt)
+        nibbles = _BY_COUNTER[counter]
+        data_0 = _pack_BiBx(nibbles[mode_0], round(torque_nm_0 / 1e-07), sync_cnt)
+        data_1 = _pack_BiBx(nibbles[mode_1], round(torque_nm_1 / 1e-07), sync_cnt)
+        data_2 = _pack_BiBx(nibbles[mode_2], round(torque_nm_2 / 1e-07), sync_cnt)
+        data_3 = _pack_BiBx(nibbles[mode_3], round(torque_nm_3 / 1e-07), sync_cnt)
     except _OUT_OF_RANGE:
         return (
-            encode_RW1_CMD(counter, mode, torque_nm_0, sync_cnt)
-            + encode_RW2_CMD(counter, mode, torque_nm_1, sync_cnt)
-            + encode_RW3_CMD(counter, mode, torque_nm_2, sync_cnt)
-            + encode_RW4_CMD(counter, mode, torque_nm_3, sync_cnt)
+            encode_RW1_CMD(counter, mode_0, torque_nm_0, sync_cnt)
+            + encode_RW2_CMD(counter, mode_1, torque_nm_1, sync_cnt)
+            + encode_RW3_CMD(counter, mode_2, torque_nm_2, sync_cnt)
+            + encode_RW4_CMD(counter, mode_3, torque_nm_3, sync_cnt)
         )
     return _join((
         _HEAD_RW1_CMD[_crc(data_0, 0x17)], data_0,
@@ -569,11 +554,11 @@ _BITS_SENSORS, _KNOWN_SENSORS = _know((
     (_HEAD_FOGY_RATE, 0), (_HEAD_FOGZ_RATE, 0), (_HEAD_SYNC, 0),
 ))
 _sums_sensors = Struct("<" + "8xB7s" * 8).unpack
-_values_sensors = Struct("<8xxixxx8xxixxx8xxixxx8xxixxx8xxxixx8xxxixx8xxxixx8xxxIxx").unpack
+_values_sensors = Struct("<8xxihx8xxihx8xxihx8xxihx8xxxixx8xxxixx8xxxixx8xxxIxx").unpack
 
 
-def decode_sensors(batch: bytes, counter: int) -> tuple[float, float, float, float, float, float, float, int] | None:
-    """(speed, rate, tick) of the frames 0x190..0x193, 0x1A0..0x1A2, 0x080..0x080, each signal frame by frame.
+def decode_sensors(batch: bytes, counter: int) -> tuple[float, float, float, float, int, int, int, int, float, float, float, int] | None:
+    """(speed, current, rate, tick) of the frames 0x190..0x193, 0x1A0..0x1A2, 0x080..0x080, each signal frame by frame.
 
     None unless these are exactly the frames, in this order, with this counter, the expected high nibbles and right
     checksums. `counter` -1, none expected yet, gives None too.
@@ -596,66 +581,14 @@ def decode_sensors(batch: bytes, counter: int) -> tuple[float, float, float, flo
     ):
         return None
     (
-        speed_rad_s_0, speed_rad_s_1, speed_rad_s_2, speed_rad_s_3, rate_rad_s_4, rate_rad_s_5, rate_rad_s_6,
-        tick_7,
+        speed_rad_s_0, current_ma_0, speed_rad_s_1, current_ma_1, speed_rad_s_2, current_ma_2, speed_rad_s_3,
+        current_ma_3, rate_rad_s_4, rate_rad_s_5, rate_rad_s_6, tick_7,
     ) = _values_sensors(batch)
     return (
         (speed_rad_s_0 >> 8) * 0.001, (speed_rad_s_1 >> 8) * 0.001, (speed_rad_s_2 >> 8) * 0.001,
-        (speed_rad_s_3 >> 8) * 0.001, rate_rad_s_4 * 1e-09, rate_rad_s_5 * 1e-09, rate_rad_s_6 * 1e-09, tick_7,
+        (speed_rad_s_3 >> 8) * 0.001, current_ma_0, current_ma_1, current_ma_2, current_ma_3,
+        rate_rad_s_4 * 1e-09, rate_rad_s_5 * 1e-09, rate_rad_s_6 * 1e-09, tick_7,
     )
-
-
-_pack_sensors = Struct("<ihBihBihBihBBiBxBiBxBiBxBIxx").pack
-_cut_sensors = Struct("7s7s7s7s7s7s7s7s").unpack
-_lay_sensors = Struct("8sB7s" * 8).pack  # header, checksum, payload
-_held_current_ma: tuple[Any, Any] = (None, None)  # the last argument, its raw values
-
-
-def encode_sensors(
-    counter: int, speed_rad_s: Floats4, current_ma: Floats4, sync_cnt: int, rate_rad_s: Floats3, tick: int,
-) -> bytes:
-    """The frames that `decode_sensors` takes, as 128 bytes."""
-    global _held_current_ma
-    speed_rad_s_0, speed_rad_s_1, speed_rad_s_2, speed_rad_s_3 = speed_rad_s
-    current_ma_0, current_ma_1, current_ma_2, current_ma_3 = current_ma
-    rate_rad_s_0, rate_rad_s_1, rate_rad_s_2 = rate_rad_s
-    try:
-        seen, raw = _held_current_ma
-        if seen is not current_ma:
-            raw = (
-                round(current_ma_0), round(current_ma_1), round(current_ma_2), round(current_ma_3),
-            )
-            _held_current_ma = (current_ma, raw)
-        current_ma_raw_0, current_ma_raw_1, current_ma_raw_2, current_ma_raw_3 = raw
-        data = _pack_sensors(
-            round(speed_rad_s_0 / 0.001) * 256 + counter, current_ma_raw_0, sync_cnt,
-            round(speed_rad_s_1 / 0.001) * 256 + counter, current_ma_raw_1, sync_cnt,
-            round(speed_rad_s_2 / 0.001) * 256 + counter, current_ma_raw_2, sync_cnt,
-            round(speed_rad_s_3 / 0.001) * 256 + counter, current_ma_raw_3, sync_cnt, counter,
-            round(rate_rad_s_0 / 1e-09), sync_cnt, counter, round(rate_rad_s_1 / 1e-09), sync_cnt, counter,
-            round(rate_rad_s_2 / 1e-09), sync_cnt, counter, tick,
-        )
-    except _OUT_OF_RANGE:
-        return _join((
-            encode_RW1_TLM(counter, 0, speed_rad_s_0, current_ma_0, sync_cnt),
-            encode_RW2_TLM(counter, 0, speed_rad_s_1, current_ma_1, sync_cnt),
-            encode_RW3_TLM(counter, 0, speed_rad_s_2, current_ma_2, sync_cnt),
-            encode_RW4_TLM(counter, 0, speed_rad_s_3, current_ma_3, sync_cnt),
-            encode_FOGX_RATE(counter, 0, rate_rad_s_0, sync_cnt),
-            encode_FOGY_RATE(counter, 0, rate_rad_s_1, sync_cnt),
-            encode_FOGZ_RATE(counter, 0, rate_rad_s_2, sync_cnt), encode_SYNC(counter, 0, tick),
-        ))
-    (data_0, data_1, data_2, data_3, data_4, data_5, data_6, data_7) = _cut_sensors(data)
-    return _lay_sensors(
-        _ID_RW1_TLM, _crc(data_0, 0xDE), data_0,
-        _ID_RW2_TLM, _crc(data_1, 0x92), data_1,
-        _ID_RW3_TLM, _crc(data_2, 0x46), data_2,
-        _ID_RW4_TLM, _crc(data_3, 0x0A), data_3,
-        _ID_FOGX_RATE, _crc(data_4, 0x1F), data_4,
-        _ID_FOGY_RATE, _crc(data_5, 0x53), data_5,
-        _ID_FOGZ_RATE, _crc(data_6, 0x87), data_6,
-        _ID_SYNC, _crc(data_7, 0x77), data_7,
-    )  # fmt: skip
 
 
 COMMANDS_SIZE = 80
@@ -663,7 +596,7 @@ _BITS_COMMANDS, _KNOWN_COMMANDS = _know((
     (_HEAD_RW1_CMD, 1), (_HEAD_RW2_CMD, 1), (_HEAD_RW3_CMD, 1), (_HEAD_RW4_CMD, 1), (_HEAD_CYCLE_DONE, None),
 ))
 _sums_commands = Struct("<" + "8xB7s" * 5).unpack
-_values_commands = Struct("<8xxiBxx8xxiBxx8xxiBxx8xxiBxx8xxxIxx").unpack
+_values_commands = Struct("<8xxxiBx8xxxiBx8xxxiBx8xxxiBx8xxxIxx").unpack
 
 
 def decode_commands(batch: bytes, counter: int) -> tuple[float, float, float, float, int, int, int, int, int] | None:
@@ -690,52 +623,9 @@ def decode_commands(batch: bytes, counter: int) -> tuple[float, float, float, fl
         tick_4,
     ) = _values_commands(batch)
     return (
-        (torque_nm_0 >> 8) * 1e-07, (torque_nm_1 >> 8) * 1e-07, (torque_nm_2 >> 8) * 1e-07,
-        (torque_nm_3 >> 8) * 1e-07, sync_cnt_0, sync_cnt_1, sync_cnt_2, sync_cnt_3, tick_4,
+        torque_nm_0 * 1e-07, torque_nm_1 * 1e-07, torque_nm_2 * 1e-07, torque_nm_3 * 1e-07, sync_cnt_0,
+        sync_cnt_1, sync_cnt_2, sync_cnt_3, tick_4,
     )
-
-
-_pack_commands = Struct("<iBxxiBxxiBxxiBxxBIH").pack
-_cut_commands = Struct("7s7s7s7s7s").unpack
-_lay_commands = Struct("8sB7s" * 5).pack  # header, checksum, payload
-_held_torque_nm: tuple[Any, Any] = (None, None)  # the last argument, its raw values
-
-
-def encode_commands(
-    counter: int, torque_nm: Floats4, sync_cnt: int, mode: int, tick: int, slips: int,
-) -> bytes:
-    """The frames that `decode_commands` takes, as 80 bytes."""
-    global _held_torque_nm
-    torque_nm_0, torque_nm_1, torque_nm_2, torque_nm_3 = torque_nm
-    try:
-        seen, raw = _held_torque_nm
-        if seen is not torque_nm:
-            raw = (
-                round(torque_nm_0 / 1e-07), round(torque_nm_1 / 1e-07), round(torque_nm_2 / 1e-07),
-                round(torque_nm_3 / 1e-07),
-            )
-            _held_torque_nm = (torque_nm, raw)
-        torque_nm_raw_0, torque_nm_raw_1, torque_nm_raw_2, torque_nm_raw_3 = raw
-        data = _pack_commands(
-            torque_nm_raw_0 * 256 + 16 + counter, sync_cnt, torque_nm_raw_1 * 256 + 16 + counter, sync_cnt,
-            torque_nm_raw_2 * 256 + 16 + counter, sync_cnt, torque_nm_raw_3 * 256 + 16 + counter, sync_cnt,
-            _NIBBLES[mode][counter], tick, slips,
-        )
-    except _OUT_OF_RANGE:
-        return _join((
-            encode_RW1_CMD(counter, 1, torque_nm_0, sync_cnt),
-            encode_RW2_CMD(counter, 1, torque_nm_1, sync_cnt),
-            encode_RW3_CMD(counter, 1, torque_nm_2, sync_cnt),
-            encode_RW4_CMD(counter, 1, torque_nm_3, sync_cnt), encode_CYCLE_DONE(counter, mode, tick, slips),
-        ))
-    (data_0, data_1, data_2, data_3, data_4) = _cut_commands(data)
-    return _lay_commands(
-        _ID_RW1_CMD, _crc(data_0, 0x17), data_0,
-        _ID_RW2_CMD, _crc(data_1, 0x5B), data_1,
-        _ID_RW3_CMD, _crc(data_2, 0x8F), data_2,
-        _ID_RW4_CMD, _crc(data_3, 0xC3), data_3,
-        _ID_CYCLE_DONE, _crc(data_4, 0x3B), data_4,
-    )  # fmt: skip
 
 
 _LIMITS: dict[int, tuple[tuple[str, float, float, bool], ...]] = {
@@ -759,25 +649,25 @@ _LIMITS: dict[int, tuple[tuple[str, float, float, bool], ...]] = {
     0x110: (
         ("COUNTER", 0, 15, True),
         ("MODE", 0, 15, True),
-        ("TORQUE", -0.8388608, 0.8388607, False),
+        ("TORQUE", -214.7483648, 214.7483647, False),
         ("SYNC_CNT", 0, 255, True),
     ),
     0x111: (
         ("COUNTER", 0, 15, True),
         ("MODE", 0, 15, True),
-        ("TORQUE", -0.8388608, 0.8388607, False),
+        ("TORQUE", -214.7483648, 214.7483647, False),
         ("SYNC_CNT", 0, 255, True),
     ),
     0x112: (
         ("COUNTER", 0, 15, True),
         ("MODE", 0, 15, True),
-        ("TORQUE", -0.8388608, 0.8388607, False),
+        ("TORQUE", -214.7483648, 214.7483647, False),
         ("SYNC_CNT", 0, 255, True),
     ),
     0x113: (
         ("COUNTER", 0, 15, True),
         ("MODE", 0, 15, True),
-        ("TORQUE", -0.8388608, 0.8388607, False),
+        ("TORQUE", -214.7483648, 214.7483647, False),
         ("SYNC_CNT", 0, 255, True),
     ),
     0x190: (

@@ -190,10 +190,12 @@ def four(values: st.SearchStrategy[Any]) -> st.SearchStrategy[tuple[Any, ...]]:
     return st.tuples(values, values, values, values)
 
 
-@given(counter=nibbles, mode=nibbles, torque=four(st.floats(-1, 1) | anything), sync=counts8 | st.integers(-9, 999))
-def test_group_of_wheel_commands_equals_single_frames(counter: int, mode: int, torque: Any, sync: int) -> None:
+@given(
+    counter=nibbles, mode=four(nibbles), torque=four(st.floats(-12, 12) | anything), sync=counts8 | st.integers(-9, 999)
+)
+def test_group_of_wheel_commands_equals_single_frames(counter: int, mode: Any, torque: Any, sync: int) -> None:
     """The four commands in one go are the same bytes as one by one, saturation included."""
-    singles = [ENCODERS[0x110 + k](counter, mode, torque[k], sync) for k in range(4)]
+    singles = [ENCODERS[0x110 + k](counter, mode[k], torque[k], sync) for k in range(4)]
     assert icd_codec.encode_rw_cmds(counter, mode, torque, sync) == b"".join(singles)
 
 

@@ -33,7 +33,7 @@ def make(faults: tuple[FaultConfig, ...] = (), **settings: int) -> PlantServer:
 def commands(server: PlantServer, sync_cnt: int | None = None, mode: int = 1) -> bytes:
     tick = server.tick
     counter = tick % 15
-    batch = encode_rw_cmds(counter, mode, TORQUES, (tick if sync_cnt is None else sync_cnt) & 0xFF)
+    batch = encode_rw_cmds(counter, (mode,) * 4, TORQUES, (tick if sync_cnt is None else sync_cnt) & 0xFF)
     return batch + encode_CYCLE_DONE(counter, 2, tick, 0)
 
 

@@ -11,17 +11,14 @@ What the generated code is made of, and why:
 - Out-of-range values leave by an exception to one slow function that clamps them: the fast path has no comparison.
 - The checksum comes from fastcrc: 53 ns for 7 bytes, where a table of 256 bytes takes 225 ns, one table per place
   225 ns and tables of 65536 bytes 186 ns. Its start value has the data id of the message in it (bus/icd/e2e.py).
-- Frame header and checksum byte of a single frame come as one of 256 ready-made byte strings. A batch is laid together
-  by one struct call instead: with 13 frames a tick, 13 of 3300 such strings would have to come from memory.
+- Frame header and checksum byte of a frame come as one of 256 ready-made byte strings.
 - What a side receives on nearly every tick is one batch of the same frames in the same order. Its ids, lengths,
   padding, alive counters and statuses are known beforehand, so they are compared at once, as one number (140 ns for 8
   frames); a frame then costs little more than its checksum. What differs in one bit is decoded frame by frame.
-- Torques change at the control rate, slower than the bus: the raw values of the last tuple are kept, by its identity.
 """
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -38,10 +35,9 @@ GROUPS = (  # function, first frame id, number of frames
     ("fogs", 0x1A0, 3),
 )
 BATCHES = (  # function, (first frame id, number of frames, high nibble or None for any, signals that are read)
-    ("sensors", ((0x190, 4, 0, ("SPEED",)), (0x1A0, 3, 0, ("RATE",)), (0x080, 1, 0, ("TICK",)))),
+    ("sensors", ((0x190, 4, 0, ("SPEED", "CURRENT")), (0x1A0, 3, 0, ("RATE",)), (0x080, 1, 0, ("TICK",)))),
     ("commands", ((0x110, 4, 1, ("TORQUE", "SYNC_CNT")), (0x081, 1, None, ("TICK",)))),
 )
-HELD = ("TORQUE", "CURRENT")  # signals of a batch that stay the same for many ticks: rounded once
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,37 +187,29 @@ def write_decoder(message: Any, fields: list[Field], layout: Layout) -> str:
 
 
 def write_group(function: str, messages: list[Any], fields: list[Field], layout: Layout) -> str:
-    """Source of an encoder of several like messages in one go; signals with a unit differ, counts are shared."""
+    """Source of an encoder of several like messages in one go; nibbles and signals with a unit differ, counts do not."""
     nibble = messages[0].signals[2].name.lower()
     count = len(messages)
     measured = [f for f in fields if not f.is_count]
-    arguments = [f"counter: int, {nibble}: {f'Nibbles{count}' if nibble == 'status' else 'int'}"]
+    arguments = [f"counter: int, {nibble}: Nibbles{count}"]
     arguments += [f"{f.name}: Floats{count}" if not f.is_count else f"{f.name}: {f.kind_in}" for f in fields]
     lines = [f"def encode_{function}({', '.join(arguments)}) -> bytes:"]
     lines.append(f'    """Frames 0x{messages[0].frame_id:03X}..0x{messages[-1].frame_id:03X} as {16 * count} bytes."""')
-    each = [nibble] if nibble == "status" else []
-    unpacked = each + [f.name for f in measured]
+    unpacked = [nibble, *(f.name for f in measured)]
     lines += [f"    {', '.join(f'{name}_{k}' for k in range(count))} = {name}" for name in unpacked]
-    lines.append("    try:")
-    if each:
-        lines.append("        nibbles = _BY_COUNTER[counter]")
-    else:
-        lines.append(f"        nibbles = _NIBBLES[{nibble}][counter]")
+    lines += ["    try:", "        nibbles = _BY_COUNTER[counter]"]
     for k in range(count):
         packed = ", ".join(layout.packed)
         for f in measured:
             packed = packed.replace(f.name, f"{f.name}_{k}")
-        if each:
-            packed = packed.replace("nibbles", f"nibbles[{nibble}_{k}]")
+        packed = packed.replace("nibbles", f"nibbles[{nibble}_{k}]")
         lines.append(f"        data_{k} = _pack_{layout.codes}({packed})")
-    lines.append("    except _OUT_OF_RANGE:")
-    lines.append("        return (")
+    lines += ["    except _OUT_OF_RANGE:", "        return ("]
     for k, message in enumerate(messages):
-        values = ["counter", f"{nibble}_{k}" if each else nibble]
+        values = ["counter", f"{nibble}_{k}"]
         values += [f.name if f.is_count else f"{f.name}_{k}" for f in fields]
         lines.append(f"            {'+ ' if k else ''}encode_{message.name}({', '.join(values)})")
-    lines.append("        )")
-    lines.append("    return _join((")
+    lines += ["        )", "    return _join(("]
     for k, message in enumerate(messages):
         start = checksum_start(message.dbc.attributes["DataID"].value)
         lines.append(f"        _HEAD_{message.name}[_crc(data_{k}, 0x{start:02X})], data_{k},")
@@ -290,74 +278,6 @@ def wrap(items: list[str], indent: int, opening: str, closing: str) -> str:
     return f"{opening}\n{' ' * indent}" + f"\n{' ' * indent}".join(lines) + f"\n{' ' * (indent - 4)}{closing}"
 
 
-def write_batch_encoder(function: str, rows: Any, by_id: dict[int, Any], fields: dict[int, list[Field]]) -> str:
-    """Source of the encoder of one tick's batch: one struct call for all frames, cut into payloads afterwards."""
-    messages = [by_id[first + k] for first, count, *_ in rows for k in range(count)]
-    arguments, unpacking, packed, otherwise, held = ["counter: int"], [], [], [], []
-    codes, memory = "", []
-    for first, count, nibble, _ in rows:
-        layout, own = lay_out(fields[first]), fields[first]
-        free = by_id[first].signals[2].name.lower() if nibble is None else None
-        arguments += [f"{free}: int"] if free else []
-        many = [field for field in own if count > 1 and not field.is_count]
-        for field in own:
-            argument = f"{field.name}: " + (f"Floats{count}" if field in many else field.kind_in)
-            arguments += [] if argument in arguments else [argument]
-        unpacking += [f"    {', '.join(f'{f.name}_{k}' for k in range(count))} = {f.name}" for f in many]
-        codes += layout.codes * count
-        nibbles = f"_NIBBLES[{free}][counter]" if free else f"{nibble << 4} + counter" if nibble else "counter"
-        for k in range(count):
-            values = [f"{f.name}_{k}" if f in many else f.name for f in own]
-            otherwise.append(f"encode_{by_id[first + k].name}(counter, {', '.join([free or str(nibble), *values])})")
-            for expression in layout.packed:
-                for field in many:
-                    raw = f"{field.name}_raw_{k}"
-                    expression = expression.replace(field.raw, raw) if field.label in HELD else expression
-                    expression = re.sub(rf"\b{field.name}\b", f"{field.name}_{k}", expression)
-                packed.append(expression.replace("nibbles", nibbles))
-        for field in many:
-            if field.label in HELD:
-                memory.append(
-                    f"_held_{field.name}: tuple[Any, Any] = (None, None)  # the last argument, its raw values"
-                )
-                held += hold(field, count)
-    lines = [
-        f'_pack_{function} = Struct("<{codes}").pack',
-        f'_cut_{function} = Struct("{"7s" * len(messages)}").unpack',
-        f'_lay_{function} = Struct("8sB7s" * {len(messages)}).pack  # header, checksum, payload',
-        *memory,
-        "\n",
-        f"def encode_{function}({wrap(arguments, 4, '', '')}) -> bytes:",
-        f'    """The frames that `decode_{function}` takes, as {16 * len(messages)} bytes."""',
-        *[f"    global {line.split(':')[0]}" for line in memory],
-        *unpacking,
-        "    try:",
-        *held,
-        f"        data = _pack_{function}({wrap(packed, 12, '', '')})",
-        "    except _OUT_OF_RANGE:",
-        f"        return {wrap(otherwise, 12, '_join((', '))')}",
-        f"    {wrap([f'data_{k}' for k in range(len(messages))], 8, '(', ')')} = _cut_{function}(data)",
-        f"    return _lay_{function}(",
-    ]
-    for k, message in enumerate(messages):
-        start = checksum_start(message.dbc.attributes["DataID"].value)
-        lines.append(f"        _ID_{message.name}, _crc(data_{k}, 0x{start:02X}), data_{k},")
-    return "\n".join([*lines, "    )  # fmt: skip"])
-
-
-def hold(field: Field, count: int) -> list[str]:
-    """Statements that find the raw values of a signal of `count` frames: those of the last call for the same tuple."""
-    raw = [f"{field.name}_raw_{k}" for k in range(count)]
-    rounded = [field.raw.replace(field.name, f"{field.name}_{k}") for k in range(count)]
-    return [
-        f"        seen, raw = _held_{field.name}",
-        f"        if seen is not {field.name}:",
-        f"            raw = {wrap(rounded, 16, '(', ')')}",
-        f"            _held_{field.name} = ({field.name}, raw)",
-        f"        {', '.join(raw)} = raw",
-    ]
-
-
 def read_signals(fields: list[Field]) -> tuple[list[str], str, list[str]]:
     """Names to unpack into, struct codes of all 8 data bytes, and values, where only these signals are wanted."""
     names, codes, values, at = [], "", [], 0
@@ -385,8 +305,7 @@ decode_<NAME>(data) returns (counter, nibble, *signals) of the 8 data bytes, or 
 data and id, or where the length is not 8. It raises on no bytes whatever.
 
 decode_<batch>(batch, counter) takes all frames of one tick at once where they are what they nearly always are, and
-returns None everywhere else: then the frames must be looked at one by one. encode_<batch> makes such a batch; vectors
-must be tuples, for what was rounded for one is used again for the very same one.
+returns None everywhere else: then the frames must be looked at one by one.
 """
 
 from __future__ import annotations
@@ -463,8 +382,6 @@ def generate_codec(database: Any) -> str:
         parts.append(f'_unpack_{codes} = Struct("<B{codes}").unpack')
     parts.append('_heads = Struct("=IB3xB").pack  # can_id, dlc, padding, checksum byte')
     parts += [f"_HEAD_{m.name} = tuple(_heads(0x{m.frame_id:03X}, 8, byte) for byte in range(256))" for m in messages]
-    batched = [by_id[first + k] for _, rows in BATCHES for first, count, *_ in rows for k in range(count)]
-    parts += [f"_ID_{m.name} = _HEAD_{m.name}[0][:8]" for m in batched]
     parts.append(SATURATE)
     for m in messages:
         parts.append("\n" + write_encoder(m, fields[m.frame_id], layouts[m.frame_id]) + "\n")
@@ -474,8 +391,7 @@ def generate_codec(database: Any) -> str:
         parts.append("\n" + write_group(function, group, fields[first], layouts[first]) + "\n")
     parts.append(KNOW)
     for function, rows in BATCHES:
-        parts.append("\n" + write_batch(function, rows, by_id, fields) + "\n\n")
-        parts.append(write_batch_encoder(function, rows, by_id, fields) + "\n")
+        parts.append("\n" + write_batch(function, rows, by_id, fields) + "\n")
     parts.append("\n_LIMITS: dict[int, tuple[tuple[str, float, float, bool], ...]] = {")
     parts += [write_limits(m, fields[m.frame_id]) for m in messages]
     parts.append("}\n\nENCODERS: dict[int, Encoder] = {")
