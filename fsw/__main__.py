@@ -7,7 +7,7 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from bus.clock import claim_realtime
+from bus.clock import SystemClock, claim_realtime
 from bus.process import MEETING_PATIENCE_S, Progress, last_word, run_process
 from bus.run import RunConfig
 from bus.settings import build_file
@@ -17,11 +17,11 @@ from bus.wire.transport import Transport
 from fsw.config import FswConfig
 from fsw.executive import Executive, Watchdog
 from fsw.flight import Flight
-from fsw.flight_log import FlightLog
+from fsw.guidance.timeline import make_command
 from fsw.handshake import meet_plant
-from fsw.lockstep import LockStep
+from fsw.node import FswNode
 from fsw.outputs import STATE_FAILED, STATE_STOPPED
-from fsw.realtime import RealTime
+from fsw.pacing import LockStep, RealTime
 from fsw.telemetry import SOURCE
 
 
@@ -45,10 +45,11 @@ def main(argv: list[str] | None = None) -> int:
 
 def _fly(config: FswFile, telemetry_fd: int | None, progress_fd: int | None) -> None:
     run = config.run
-    flight = Flight(config.fsw, run.tick_ns * 1e-9, run.run_hash)
-    realtime = run.clock.mode == "realtime"
-    link = TelemetryLink(telemetry_fd, SOURCE, blocking=not realtime)
-    log = FlightLog(flight, link, run.tick_ns)
+    tick_s = run.tick_ns * 1e-9
+    flight = Flight(config.fsw, tick_s, run.run_hash)
+    link = TelemetryLink(telemetry_fd, SOURCE, blocking=run.clock.mode != "realtime")
+    timeline = [make_command(entry, tick_s) for entry in config.fsw.timeline]
+    node = FswNode(flight, link, run.tick_ns, SystemClock(), timeline)
     transport = open_transport(run.bus.address, node="fsw", bitrate_bps=run.bus.bitrate_bps)
     with last_word(
         "fsw", transport, link, Progress(progress_fd),
@@ -56,18 +57,19 @@ def _fly(config: FswFile, telemetry_fd: int | None, progress_fd: int | None) -> 
         lambda: flight.executive.cycles * run.tick_ns,
     ):  # fmt: skip
         meet_plant(transport, flight.outputs, run.run_hash, MEETING_PATIENCE_S)
-        _loop(config, flight, transport, log, realtime)
+        _loop(config, node, transport)
 
 
-def _loop(config: FswFile, flight: Flight, transport: Transport, log: FlightLog, realtime: bool) -> None:
-    tick_ns = config.run.tick_ns
-    if not realtime:
-        LockStep(flight, transport, log).run()
+def _loop(config: FswFile, node: FswNode, transport: Transport) -> None:
+    run, clock = config.run, SystemClock()
+    if run.clock.mode != "realtime":
+        LockStep(node, transport, clock, run.ticks).run()
         return
     settings = config.fsw.executive
-    executive = Executive(tick_ns, settings.overrun, settings.max_consecutive_slips)
-    log.link.event(0, "info", "fsw", f"scheduling: {claim_realtime()}")
-    RealTime(flight, executive, Watchdog(int(settings.watchdog_s * 1e9)), transport, log).run()
+    executive = Executive(run.tick_ns, settings.overrun, settings.max_consecutive_slips, clock)
+    node.log.link.event(0, "info", "fsw", f"scheduling: {claim_realtime()}")
+    watchdog = Watchdog(int(settings.watchdog_s * 1e9), clock)
+    RealTime(node, executive, watchdog, transport, clock, run.ticks).run()
 
 
 if __name__ == "__main__":

@@ -15,11 +15,11 @@ from __future__ import annotations
 
 import contextlib
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from types import FrameType
 
-from bus.clock import MonotonicClock, SystemClock
+from bus.clock import MonotonicClock
 from bus.errors import DeadlineError
 
 DEGRADED_CYCLES = 20  # cycles on time before shed rate groups come back
@@ -34,7 +34,6 @@ class ExecutiveCounters:
     consecutive_slips: int = 0
     skipped: int = 0  # ticks not run at all
     caught_up: int = 0  # ticks run late, back to back
-    shed: int = 0  # cycles run without the groups that are not essential
     last_cycle_ns: int = 0
     max_cycle_ns: int = 0
     last_lateness_ns: int = 0
@@ -50,18 +49,15 @@ class Executive:
     safe      as skip, and ask the mode manager for safe mode
     """
 
-    def __init__(
-        self, period_ns: int, policy: str, max_consecutive_slips: int, clock: MonotonicClock | None = None
-    ) -> None:
+    def __init__(self, period_ns: int, policy: str, max_consecutive_slips: int, clock: MonotonicClock) -> None:
         self.period_ns = period_ns
         self.policy = policy
         self.max_consecutive_slips = max_consecutive_slips
-        self.clock: MonotonicClock = clock or SystemClock()
+        self.clock = clock
         self.counters = ExecutiveCounters()
         self.safe_requested = False
         self._epoch_ns = 0
         self._next_tick = 0
-        self._released_ns = 0
         self._degraded_left = 0
 
     @property
@@ -78,15 +74,14 @@ class Executive:
         """When the next tick is due."""
         return self._epoch_ns + self._next_tick * self.period_ns
 
-    def wait(self, sleep_until: Callable[[int], None] | None = None) -> int:
+    def wait(self) -> int:
         """Sleep to the next release and return its tick.
 
-        sleep_until : replaces the clock's sleep, for callers that serve the bus while they wait.
         Raises DeadlineError after more than `max_consecutive_slips` slips in a row.
         """
         deadline_ns = self.deadline_ns()
         if self.clock.now_ns() < deadline_ns:
-            (sleep_until or self.clock.sleep_until)(deadline_ns)
+            self.clock.sleep_until(deadline_ns)
         now_ns = self.clock.now_ns()
         lateness_ns = now_ns - deadline_ns
         if lateness_ns >= self.period_ns:
@@ -98,19 +93,7 @@ class Executive:
         self.counters.max_lateness_ns = max(self.counters.max_lateness_ns, lateness_ns)
         tick = self._next_tick
         self._next_tick += 1
-        self._released_ns = now_ns
         return tick
-
-    def done(self) -> None:
-        """The cycle that `wait` released is finished: take its time."""
-        counters = self.counters
-        cycle_ns = self.clock.now_ns() - self._released_ns
-        counters.cycles += 1
-        counters.last_cycle_ns = cycle_ns
-        if cycle_ns > counters.max_cycle_ns:
-            counters.max_cycle_ns = cycle_ns
-        if self._degraded_left:
-            counters.shed += 1
 
     def _slip(self, lateness_ns: int) -> None:
         counters = self.counters
@@ -137,9 +120,9 @@ class Executive:
 class Watchdog:
     """Bites when it has not been fed for `limit_ns`. Fed by the loop that does the real work, and by nothing else."""
 
-    def __init__(self, limit_ns: int, clock: MonotonicClock | None = None) -> None:
+    def __init__(self, limit_ns: int, clock: MonotonicClock) -> None:
         self.limit_ns = limit_ns
-        self._clock: MonotonicClock = clock or SystemClock()
+        self._clock = clock
         self._fed_ns = self._clock.now_ns()
 
     def feed(self) -> None:

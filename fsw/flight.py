@@ -1,26 +1,30 @@
-"""One cycle of the flight software, in order: receive, validate, estimate, detect, observe, guide, control, allocate,
-send, publish.
+"""One cycle of the flight software, in order: receive, validate, estimate, detect, observe, judge the wheels, guide,
+control, allocate, drive, send. Telemetry is read off afterwards, see fsw/telemetry.py.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
-from bus.telemetry.link import Row
-from bus.units import Vec3, Vec4
-from fsw import allocators, controllers, estimation, gyro_fdi, observers
+from bus.attitude import IDENTITY
+from bus.commands import Command
+from bus.errors import ConfigError
+from bus.linear import ZERO3, add, cross, subtract, times
+from bus.units import Vec3
+from fsw import allocators, controllers, estimation, gyro_fdi, observers, wheel_health
 from fsw.config import FswConfig
+from fsw.drive import REST, command_wheels
 from fsw.executive import ExecutiveCounters
-from fsw.guidance import Guidance
+from fsw.guidance import Guidance, timeline
+from fsw.guidance.guidance import feed_forward
 from fsw.inputs import Inputs
 from fsw.modes import POINT, STANDBY, Mode, ModeManager
 from fsw.outputs import Outputs
-from fsw.records import Demand, Estimate, Sensors
-from fsw.schedule import RateGroup, flight_schedule
-from fsw.wheel_axes import combine_wheels
+from fsw.records import HEALTHY, Allocation, Detection, Estimate, PointingError, Sensors, WheelCommands, WheelHealth
+from fsw.schedule import flight_schedule
+from fsw.vehicle import Vehicle
 
-NO_TORQUE: Vec4 = (0.0, 0.0, 0.0, 0.0)
-ZERO: Vec3 = (0.0, 0.0, 0.0)
 DEG_PER_RAD = 180.0 / math.pi
 HEARTBEAT_S = 1.0
 
@@ -29,101 +33,128 @@ class Flight:
     """The flight software between its bus and its telemetry. Holds no socket and reads no clock."""
 
     def __init__(self, config: FswConfig, tick_s: float, run_hash: int) -> None:
-        model = config.model
-        self.inputs = Inputs(config, tick_s)
+        """Raises ConfigError or one of its kind where the settings cannot be flown with."""
+        self.vehicle = vehicle = Vehicle(config.model)
+        self._tick_s = tick_s
+        control_s = tick_s * config.executive.control_divider
+        self.inputs = Inputs(config.modes, vehicle, tick_s)
         self.outputs = Outputs(run_hash, max(1, round(HEARTBEAT_S / tick_s)))
-        self.modes = ModeManager(config.modes)
+        self.modes = ModeManager(config.modes, tick_s)
         self.executive = ExecutiveCounters()
-        self.estimator = estimation.REGISTRY[config.estimator.kind](config.estimator, model, tick_s)
-        self.detector = gyro_fdi.REGISTRY[config.detector.kind](config.detector, model, tick_s)
-        self.observer = observers.REGISTRY[config.observer.kind](config.observer, model)
-        self.controller = controllers.REGISTRY[config.controller.kind](config.controller, model)
-        self.allocator = allocators.REGISTRY[config.allocator.kind](config.allocator, model)
+        self.estimator = estimation.REGISTRY.make(config.estimator, vehicle, tick_s)
+        self.detector = gyro_fdi.REGISTRY.make(config.detector, vehicle, tick_s)
+        self.observer = observers.REGISTRY.make(config.observer, vehicle, control_s)
+        self.wheel_health = wheel_health.REGISTRY.make(config.wheel_health, vehicle, control_s)
+        self.controller = controllers.REGISTRY.make(config.controller, vehicle, control_s)
+        self.allocator = allocators.REGISTRY.make(config.allocator, vehicle, control_s)
         self.guidance = Guidance(config.target_q)
-        self._control: RateGroup = flight_schedule(config.executive.control_divider).group("control")
-        self._control_s = tick_s * config.executive.control_divider
+        self.control_slot, self.diagnostics_slot = flight_schedule(config.executive.control_divider).open_slots()
+        self._control_s = control_s
+        self._control_ticks = config.executive.control_divider
         self._damping_nm_s = config.modes.damping_nm_s
-        self._wheel_momentum = model.wheel_momentum
-        self.safe_requested = False
+        self._feed_forward = config.guidance.feed_forward
         self._reset_outputs()
 
     def _reset_outputs(self) -> None:
-        self.tau_rw_cmd_nm: Vec4 = NO_TORQUE
-        self.tau_cmd_b_nm: Vec3 = ZERO
-        self.tau_fault_hat_b_nm: Vec3 = ZERO
-        self.q_err: Vec4 = (1.0, 0.0, 0.0, 0.0)
-        self._error_deg = 0.0
-        self._control_ran = False  # in the last cycle
+        self.detection = Detection(Estimate(IDENTITY, ZERO3, ZERO3, False), ZERO3, (0, 0, 0), ZERO3, False, False)
+        self.tau_fault_hat_b_nm: Vec3 = ZERO3
+        self.health: WheelHealth = HEALTHY
+        self.error = PointingError(IDENTITY, ZERO3)
+        self.error_deg = 0.0
+        self.allocation = Allocation()
+        self.tau_cmd_b_nm: Vec3 = ZERO3  # what the wheel torques sent add up to
+        self.wheel_commands: WheelCommands = REST
+        self.torques_saturated = 0  # wheel torques so far that no frame could carry
+        self.control_ran = False  # in the last cycle
         self._mode_of_control = STANDBY
 
-    def cycle(self, tick: int, batch: bytes) -> bytes:
-        """Run the cycle of this tick on the frames received since the last; return the frames to send."""
+    def cycle(self, tick: int, batch: bytes, commands: Sequence[Command] = (), safe_requested: bool = False) -> bytes:
+        """Run the cycle of this tick on the frames received since the last; return the frames to send.
+
+        commands       : of the ground, due on this tick; one that `check` objects to must not be among them
+        safe_requested : the executive asks for safe mode
+        """
+        for command in commands:
+            self.guidance.follow(command, tick * self._tick_s)
         inputs = self.inputs
         sensors = inputs.receive(tick, batch)
         estimate = self.estimator.step(sensors)
-        self.detection = detection = self.detector.step(sensors, estimate, self.tau_rw_cmd_nm)
-        estimate, rate_step_b_rad_s, _, _, _, request_safe, rate_good = detection
-        _, omega_bi_b_rad_s, _, valid = estimate
+        self.detection = detection = self.detector.step(sensors, estimate, self.wheel_commands.tau_rw_nm)
+        estimate = detection.estimate
         mode = self.modes.step(
-            valid and sensors.star_valid, rate_good, omega_bi_b_rad_s, self.safe_requested or request_safe
+            estimate.valid and sensors.star_valid,
+            detection.rate_good,
+            estimate.omega_bi_b_rad_s,
+            safe_requested or detection.request_safe,
         )
-        if rate_step_b_rad_s != ZERO:
-            self.observer.shift_rate(rate_step_b_rad_s)
-        self._control_ran = self._control.due(tick)
-        if self._control_ran:
-            self._command(mode, sensors, estimate)
-        return self.outputs.commands(
-            tick, inputs.plant_tick & 0xFF, self.tau_rw_cmd_nm, mode is not STANDBY, mode, self.executive.slips
-        )
+        if detection.rate_step_b_rad_s != ZERO3:
+            self.observer.shift_rate(detection.rate_step_b_rad_s)
+        self.guidance.advance(sensors.t_s)
+        self.control_ran = tick >= self.control_slot.next_tick
+        if self.control_ran:
+            ticks = self.control_slot.take(tick)
+            self._control(
+                self._control_s if ticks == self._control_ticks else ticks * self._tick_s, mode, sensors, estimate
+            )
+        return self.outputs.commands(tick, inputs.plant_tick & 0xFF, self.wheel_commands, mode, self.executive.slips)
 
-    def _command(self, mode: Mode, sensors: Sensors, estimate: Estimate) -> None:
-        """Observe, guide, control, allocate: everything that runs at the control rate."""
+    def check(self, command: Command, tick: int) -> str:
+        """Why a command cannot be obeyed, in words; empty where it can."""
+        if not timeline.is_known(command.verb):
+            return f"{command.verb} is not known; there are: {', '.join(timeline.PREFIX + word for word in timeline.GUIDES)}"
+        try:
+            timeline.make_guide(command, self.guidance.target, tick * self._tick_s)
+        except ConfigError as error:
+            return str(error)
+        return ""
+
+    def _control(self, dt_s: float, mode: Mode, sensors: Sensors, estimate: Estimate) -> None:
+        """Observe, judge the wheels, guide, control, allocate, drive: everything that runs at the control rate.
+
+        dt_s : since control last ran: the control period, or more where ticks were lost
+        """
         if mode is not self._mode_of_control:
             self._mode_of_control = mode
             self.observer.reset()
             self.controller.reset()
-        rate = estimate.omega_bi_b_rad_s
+        rate, wheels = estimate.omega_bi_b_rad_s, sensors.wheels
+        momentum = self.vehicle.wheels.combine(sensors.wheel_momenta()) if self.vehicle.wheel_momentum else ZERO3
+        tau_rw_nm = self.wheel_commands.tau_rw_nm
         if mode is POINT:
-            self.tau_fault_hat_b_nm = self.observer.step(
-                self._control_s, rate, self.tau_cmd_b_nm, self._wheel_momentum_b(sensors)
-            )
-            self.q_err = self.guidance.find_error(estimate.q_ib)
-            demand = self.controller.step(self._control_s, self.q_err, rate, self.tau_fault_hat_b_nm)
+            tau_fault = self.observer.step(dt_s, rate, self.tau_cmd_b_nm, momentum)
+            health = self.wheel_health.step(dt_s, wheels, tau_rw_nm, tau_fault)
+            error = self.guidance.find_error(estimate.q_ib, rate)
+            torque = self.controller.step(dt_s, error, subtract(tau_fault, health.explained_b_nm), health)
+            if self._feed_forward and not self.guidance.target.at_rest:
+                torque = add(torque, self._follow_target(error, rate, momentum))
         else:
-            self.tau_fault_hat_b_nm = ZERO
-            self.q_err = self.guidance.find_error(estimate.q_ib)
-            demand = self._damp(mode, rate)
-        if demand.tau_rw_nm is None:
-            self.tau_rw_cmd_nm = self.allocator.allocate(demand.tau_cmd_b_nm)
-        else:
-            self.tau_rw_cmd_nm = self.allocator.limit(demand.tau_rw_nm)
-        self.tau_cmd_b_nm = combine_wheels(self.tau_rw_cmd_nm)
-        self._error_deg = 2.0 * math.acos(min(1.0, abs(self.q_err[0]))) * DEG_PER_RAD
+            tau_fault = ZERO3
+            health = self.wheel_health.step(dt_s, wheels, tau_rw_nm, None)
+            error = self.guidance.find_error(estimate.q_ib, rate)
+            torque = self._damp(mode, rate)
+        self.tau_fault_hat_b_nm, self.health, self.error = tau_fault, health, error
+        self.error_deg = 2.0 * math.acos(min(1.0, abs(error.q_tb[0]))) * DEG_PER_RAD
+        self._drive(mode, torque, health)
 
-    def _damp(self, mode: Mode, omega_bi_b_rad_s: Vec3) -> Demand:
+    def _drive(self, mode: Mode, torque_b_nm: Vec3, health: WheelHealth) -> None:
+        """Allocate a body torque and make the wheels' commands of it."""
+        if mode is STANDBY:
+            self.allocation, self.wheel_commands, self.tau_cmd_b_nm = Allocation(), REST, ZERO3
+            return
+        self.allocation = self.allocator.allocate(torque_b_nm, health)
+        self.wheel_commands = commands = command_wheels(self.allocation.tau_rw_nm, health)
+        self.torques_saturated += commands.saturated
+        self.tau_cmd_b_nm = self.vehicle.wheels.combine(commands.tau_rw_nm)
+
+    def _follow_target(self, error: PointingError, rate_b_rad_s: Vec3, momentum_b_nms: Vec3) -> Vec3:
+        """The torque that a body needs which moves as the target does, body axes [N m]."""
+        inertia, omega_ti = self.vehicle.inertia_kgm2, error.omega_ti_b_rad_s
+        spin = add(times(inertia, omega_ti), momentum_b_nms)
+        return add(times(inertia, feed_forward(error, rate_b_rad_s)), cross(omega_ti, spin))
+
+    def _damp(self, mode: Mode, omega_bi_b_rad_s: Vec3) -> Vec3:
         if mode is STANDBY or not self.detection.rate_good:
-            return Demand(ZERO, NO_TORQUE)
+            return ZERO3
         k = -self._damping_nm_s
         x, y, z = omega_bi_b_rad_s
-        return Demand((k * x, k * y, k * z), None)
-
-    def _wheel_momentum_b(self, sensors: Sensors) -> Vec3:
-        return combine_wheels(sensors.h_rw_nms) if self._wheel_momentum else ZERO
-
-    def publish(self, tick: int, t_ns: int, dropped: int) -> Row:
-        """The telemetry of this cycle as a row: every cycle's part, and that of control on the ticks on which it ran.
-
-        dropped : ticks so far for whose telemetry the recorder had no room
-        """
-        counters = self.executive
-        control = None
-        if self._control_ran:
-            inputs = self.inputs.counters
-            control = (
-                self.tau_cmd_b_nm, self.tau_rw_cmd_nm, self.tau_fault_hat_b_nm, self.modes.mode, counters.slips,
-                inputs.refused, inputs.foreign, inputs.implausible, self.controller.internals, self.detector.internals,
-            )  # fmt: skip
-        return (
-            tick, t_ns, self.q_err, self._error_deg, self.detection,
-            counters.last_cycle_ns, counters.max_cycle_ns, counters.last_lateness_ns, dropped, control,
-        )  # fmt: skip
+        return (k * x, k * y, k * z)

@@ -1,10 +1,10 @@
-"""Receive and validate: turns the frames of one tick into a `Sensors` record, and counts everything it refuses.
+"""Receive and validate: brings the `Sensors` record up to date with the frames of a tick, and counts what it refuses.
 
 A frame is used only if its length, checksum and alive counter are right. What does not arrive is held at its last good
 value for `stale_after_ticks`, then marked not valid. Nothing that comes from the bus can raise out of here.
 
-Two ways lead to the same result. `receive` takes the batch of a tick on which every unit spoke in its turn, all at once.
-Whatever differs from that in one bit goes frame by frame through `_receive_each`.
+Two ways lead to the same result. `_take_usual` takes the batch of a tick on which every unit spoke in its turn, all at once.
+Whatever differs from that in one bit goes frame by frame through `_take`.
 """
 
 from __future__ import annotations
@@ -12,18 +12,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, TypeVar
 
+from bus.attitude import IDENTITY
 from bus.icd.codec import DECODERS, SENSORS_SIZE, decode_sensors
 from bus.icd.e2e import Link, LinkGroup, part_group
-from bus.units import Vec3, Vec4
+from bus.units import Vec4
 from bus.wire.frames import FRAME
-from fsw.config import FswConfig
-from fsw.records import Sensors
+from fsw.modes import ModesConfig
+from fsw.records import ALL_AXES, Sensors, WheelReading
+from fsw.vehicle import Vehicle
 
 Values = tuple[int | float, ...]  # (counter, high nibble, payload...) as the decoder returns them
 Handler = Callable[[Values], None]
-T = TypeVar("T", bound=tuple[Any, ...])
 
 FOG_IDS = (0x1A0, 0x1A1, 0x1A2)
 WHEEL_IDS = (0x190, 0x191, 0x192, 0x193)
@@ -35,8 +35,6 @@ STATUS_OK = 0
 STAR_NOT_VALID = 15
 QUATERNION_NORM_TOLERANCE = 0.01  # a pair of halves further from unit norm than this is not an attitude
 NEVER = -(10**9)  # tick of a unit that has not been heard yet
-ALL_AXES = (True, True, True)
-ALL_WHEELS = (True, True, True, True)
 
 
 @dataclass(slots=True)
@@ -52,12 +50,13 @@ class InputCounters:
 class Inputs:
     """State of what has been received: last good values and when."""
 
-    def __init__(self, config: FswConfig, tick_s: float) -> None:
+    def __init__(self, modes: ModesConfig, vehicle: Vehicle, tick_s: float) -> None:
         self._tick_s = tick_s
-        self._hold_ticks = config.modes.stale_after_ticks
-        self._star_hold_s = config.modes.star_stale_after_s
-        self._rotor_inertia_kgm2 = config.model.wheel_inertia_kgm2
-        self._speed_limit_rad_s = 2.0 * config.model.wheel_max_speed_rad_s
+        self._hold_ticks = modes.stale_after_ticks
+        self._star_hold_s = modes.star_stale_after_s
+        self._rotor_inertia_kgm2 = vehicle.wheel_inertia_kgm2
+        a, b, c, d = vehicle.wheel_max_speed_rad_s
+        self._top_speed_rad_s: Vec4 = (2.0 * a, 2.0 * b, 2.0 * c, 2.0 * d)
         handlers: dict[int, Handler] = {
             SYNC_ID: self._on_sync,
             TIME_ID: self._on_time,
@@ -75,17 +74,16 @@ class Inputs:
         self._slots = {can_id: (self._links[can_id].accept, handler) for can_id, handler in self._handlers.items()}
         self._group = LinkGroup([self._links[can_id] for can_id in GROUP_IDS])
         self.counters = InputCounters()
+        self.sensors = Sensors()
         self.plant_tick = -1
         self.plant_state = 0
         self.run_hash = 0
         self._tick = 0
-        self._rate: Vec3 = (0.0, 0.0, 0.0)
-        self._rate_tick = (NEVER, NEVER, NEVER)
-        self._speed: Vec4 = (0.0, 0.0, 0.0, 0.0)
-        self._speed_tick = (NEVER, NEVER, NEVER, NEVER)
-        self._usual: tuple[int, Vec3, Vec4] | None = None  # tick, rate and speed of all units, ahead of those above
+        self._all_tick = NEVER  # on which every gyro axis and wheel spoke
+        self._rate_tick = [NEVER, NEVER, NEVER]  # on which each spoke by itself
+        self._wheel_tick = [NEVER, NEVER, NEVER, NEVER]
         self._star_a: tuple[int, int, float, float] | None = None
-        self._q: Vec4 = (1.0, 0.0, 0.0, 0.0)
+        self._q_ib = IDENTITY
         self._q_tick = NEVER  # tick at which the attitude was measured
         self._q_new = False
 
@@ -96,65 +94,66 @@ class Inputs:
         return self._links
 
     def receive(self, tick: int, batch: bytes) -> Sensors:
-        """Everything that is known at this tick, after the given frames."""
+        """Everything that is known at this tick, after the given frames. The record is the same one every time."""
         self._tick = tick
         self._q_new = False
+        sensors = self.sensors
+        if self._take_usual(tick, batch):
+            sensors.gyro_valid = ALL_AXES
+        else:
+            self._group.part()
+            self._take(batch)
+            self._group.join()
+            self._judge_age(tick)
+        sensors.tick = tick
+        sensors.t_s = tick * self._tick_s
+        sensors.star_new = self._q_new
+        age_s = sensors.star_age_s = (tick - self._q_tick) * self._tick_s
+        sensors.star_valid = age_s <= self._star_hold_s
+        sensors.q_ib_meas = self._q_ib
+        return sensors
+
+    def _take_usual(self, tick: int, batch: bytes) -> bool:
+        """Take a batch in which every unit speaks in its turn, all at once; False where it is anything else."""
         usual, between = batch, b""
         if len(batch) != SENSORS_SIZE:
             parts = part_group(batch, SENSORS_SIZE, GROUP_IDS)
             if parts is None:
-                return self._receive_each(tick, batch)
+                return False
             usual, between = parts
         values = decode_sensors(usual, self._group.expected)
         if values is None:
-            return self._receive_each(tick, batch)
-        s1, s2, s3, s4, _, _, _, _, x, y, z, plant_tick = values
-        top = self._speed_limit_rad_s
-        if not (-top <= s1 <= top and -top <= s2 <= top and -top <= s3 <= top and -top <= s4 <= top):
-            return self._receive_each(tick, batch)
+            return False
+        s1, s2, s3, s4, i1, i2, i3, i4, x, y, z, plant_tick = values
+        t1, t2, t3, t4 = self._top_speed_rad_s
+        if not (-t1 <= s1 <= t1 and -t2 <= s2 <= t2 and -t3 <= s3 <= t3 and -t4 <= s4 <= t4):
+            return False
         self._group.accept()
         self.plant_tick = plant_tick
-        rate, speed = (x, y, z), (s1, s2, s3, s4)
-        self._usual = (tick, rate, speed)
+        self._all_tick = tick
+        self.sensors.omega_meas_b_rad_s = (x, y, z)
+        a, b, c, d = self.sensors.wheels
+        r1, r2, r3, r4 = self._rotor_inertia_kgm2
+        _update(a, s1, i1, STATUS_OK, r1)
+        _update(b, s2, i2, STATUS_OK, r2)
+        _update(c, s3, i3, STATUS_OK, r3)
+        _update(d, s4, i4, STATUS_OK, r4)
         if between:
             self._take(between)
-        tick_s = self._tick_s
-        age_s = (tick - self._q_tick) * tick_s
-        i = self._rotor_inertia_kgm2
-        return tuple.__new__(
-            Sensors,
-            (tick, tick * tick_s, rate, ALL_AXES, self._q, self._q_new, age_s <= self._star_hold_s, age_s,
-             speed, ALL_WHEELS, (s1 * i, s2 * i, s3 * i, s4 * i)),
-        )  # fmt: skip
+        return True
 
-    def _receive_each(self, tick: int, batch: bytes) -> Sensors:
-        """Take any frames, one by one."""
-        if self._usual is not None:
-            last, self._rate, self._speed = self._usual
-            self._rate_tick, self._speed_tick = (last, last, last), (last, last, last, last)
-            self._usual = None
-        self._group.part()
-        self._take(batch)
-        self._group.join()
+    def _judge_age(self, tick: int) -> None:
+        """Mark what has not been heard for too long."""
         oldest = tick - self._hold_ticks
-        rx, ry, rz = self._rate_tick
-        w1, w2, w3, w4 = self._speed_tick
-        s1, s2, s3, s4 = self._speed
-        age_s = (tick - self._q_tick) * self._tick_s
-        inertia = self._rotor_inertia_kgm2
-        return Sensors(
-            tick,
-            tick * self._tick_s,
-            self._rate,
-            (rx >= oldest, ry >= oldest, rz >= oldest),
-            self._q,
-            self._q_new,
-            age_s <= self._star_hold_s,
-            age_s,
-            self._speed,
-            (w1 >= oldest, w2 >= oldest, w3 >= oldest, w4 >= oldest),
-            (s1 * inertia, s2 * inertia, s3 * inertia, s4 * inertia),
-        )
+        if self._all_tick >= oldest:
+            self.sensors.gyro_valid = ALL_AXES
+            for wheel in self.sensors.wheels:
+                wheel.valid = True
+            return
+        x, y, z = self._rate_tick
+        self.sensors.gyro_valid = (x >= oldest, y >= oldest, z >= oldest)
+        for wheel, last in zip(self.sensors.wheels, self._wheel_tick, strict=True):
+            wheel.valid = last >= oldest
 
     def _take(self, frames: bytes) -> None:
         slots = self._slots
@@ -190,19 +189,22 @@ class Inputs:
             if values[1] != STATUS_OK:
                 self.counters.unit_fault += 1
                 return
-            self._rate = _replace(self._rate, axis, values[2])
-            self._rate_tick = _replace(self._rate_tick, axis, self._tick)
+            rate = list(self.sensors.omega_meas_b_rad_s)
+            rate[axis] = values[2]
+            self.sensors.omega_meas_b_rad_s = (rate[0], rate[1], rate[2])
+            self._rate_tick[axis] = self._tick
 
         return on_fog
 
     def _make_wheel(self, wheel: int) -> Handler:
         def on_wheel(values: Values) -> None:
-            speed_rad_s = values[2]
-            if not -self._speed_limit_rad_s <= speed_rad_s <= self._speed_limit_rad_s:
+            speed_rad_s, top = values[2], self._top_speed_rad_s[wheel]
+            if not -top <= speed_rad_s <= top:
                 self.counters.implausible += 1
                 return
-            self._speed = _replace(self._speed, wheel, speed_rad_s)
-            self._speed_tick = _replace(self._speed_tick, wheel, self._tick)
+            reading = self.sensors.wheels[wheel]
+            _update(reading, speed_rad_s, values[3], int(values[1]), self._rotor_inertia_kgm2[wheel])
+            self._wheel_tick[wheel] = self._tick
 
         return on_wheel
 
@@ -224,11 +226,14 @@ class Inputs:
         if abs(norm - 1.0) > QUATERNION_NORM_TOLERANCE:
             self.counters.implausible += 1
             return
-        self._q = (q0 / norm, q1 / norm, q2 / norm, q3 / norm)
+        self._q_ib = (q0 / norm, q1 / norm, q2 / norm, q3 / norm)
         self._q_tick = self._tick - age_ticks
         self._q_new = True
 
 
-def _replace(values: T, index: int, value: float) -> T:
-    """Return the tuple with another value at that index."""
-    return (*values[:index], value, *values[index + 1 :])  # type: ignore[return-value]
+def _update(reading: WheelReading, speed_rad_s: float, current_ma: float, status: int, inertia_kgm2: float) -> None:
+    reading.speed_rad_s = speed_rad_s
+    reading.current_a = current_ma * 1e-3
+    reading.status = status
+    reading.valid = True
+    reading.h_nms = speed_rad_s * inertia_kgm2

@@ -1,18 +1,34 @@
 """Modes of the flight software and the rules between them.
 
-    standby --sensors good--> initial mode (detumble when the rate is high)
-    detumble --rate low--> point          point --rate high--> detumble
-    any --sensors stale, or safe requested--> safe --sensors good for a while--> standby
+    standby --attitude and rate good--> initial mode (detumble when the rate is high)
+    standby --rate good, and high or no attitude for a while--> detumble (or safe, where that is the initial mode)
+    detumble --rate low and attitude good--> point        point --rate high--> detumble
+    point --attitude or rate stale--> safe                detumble --rate stale--> safe
+    any --safe requested--> safe --attitude and rate good for a while--> standby
 
-Safe mode damps the rate while the gyro is good and commands zero torque otherwise.
+Detumble and safe mode damp the rate, for which a good rate is enough; without one the wheels are commanded to rest.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from enum import IntEnum
+from typing import Annotated, Literal
 
-from bus.units import DEG, Vec3
-from fsw.config import ModesConfig
+from bus.units import DEG, Ge, Gt, Positive, Seconds, Unit, Vec3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ModesConfig:
+    """When to change mode."""
+
+    initial: Literal["standby", "detumble", "point", "safe"] = "point"  # entered once sensors are valid
+    detumble_above_deg_s: Annotated[float, Unit("deg/s"), Gt(0)] = 5.0
+    point_below_deg_s: Annotated[float, Unit("deg/s"), Gt(0)] = 2.0
+    stale_after_ticks: Annotated[int, Ge(1)] = 5  # K: last good value is held this long, then the unit is stale
+    star_stale_after_s: Annotated[Seconds, Gt(0)] = 5.0
+    recover_after_ticks: Annotated[int, Ge(1)] = 20  # good ticks before safe is left
+    damping_nm_s: Positive = 20.0  # rate damping gain in detumble and safe [N m s/rad]
 
 
 class Mode(IntEnum):
@@ -28,13 +44,15 @@ STANDBY, DETUMBLE, POINT, SAFE = Mode  # for every cycle: `Mode.SAFE` is looked 
 
 
 class ModeManager:
-    """Decides the mode of every cycle and remembers why it last changed."""
+    """Decides the mode of every cycle and remembers why it last changed, and what it waits for."""
 
-    def __init__(self, config: ModesConfig) -> None:
+    def __init__(self, config: ModesConfig, tick_s: float) -> None:
+        """tick_s: time between two calls of `step` [s]."""
         self._initial = Mode[config.initial.upper()]
         self._detumble_above = (config.detumble_above_deg_s * DEG) ** 2  # rates squared [rad^2/s^2]
         self._point_below = (config.point_below_deg_s * DEG) ** 2
         self._recover_after = config.recover_after_ticks
+        self._patience_ticks = max(1, round(config.star_stale_after_s / tick_s))
         self.reset()
 
     def reset(self) -> None:
@@ -42,7 +60,9 @@ class ModeManager:
         self.mode = STANDBY
         self.reason = "boot"
         self.changes = 0
+        self.waits_for = ""  # what keeps it in this mode, empty where nothing does
         self._good_ticks = 0
+        self._rate_ticks = 0  # with a good rate and nothing else
 
     def step(self, attitude_good: bool, rate_good: bool, omega_bi_b_rad_s: Vec3, safe_requested: bool) -> Mode:
         """Mode of this cycle.
@@ -53,39 +73,72 @@ class ModeManager:
         good = attitude_good and rate_good and not safe_requested
         self._good_ticks = self._good_ticks + 1 if good else 0
         mode = self.mode
-        if mode is SAFE:
-            if self._initial is not SAFE and self._good_ticks >= self._recover_after:
-                self._enter(STANDBY, "sensors good again")
-        elif mode is STANDBY:
-            if safe_requested:
-                self._enter(SAFE, "safe mode requested")
-            elif good and self._initial is not STANDBY:
-                self._enter(self._start(omega_bi_b_rad_s), "sensors good")
-        elif not good:
-            self._enter(SAFE, _why(attitude_good, rate_good))
-        else:
-            x, y, z = omega_bi_b_rad_s
-            square = x * x + y * y + z * z
-            if mode is DETUMBLE:
-                if square < self._point_below and self._initial is not DETUMBLE:
-                    self._enter(POINT, "rate low")
-            elif square > self._detumble_above:
+        if mode is POINT and good:
+            if _square(omega_bi_b_rad_s) > self._detumble_above:
                 self._enter(DETUMBLE, "rate high")
+        elif mode is STANDBY:
+            self._leave_standby(good, rate_good, omega_bi_b_rad_s, safe_requested)
+        elif mode is SAFE:
+            self._leave_safe(attitude_good, rate_good, safe_requested)
+        elif safe_requested or not rate_good or (mode is POINT and not attitude_good):
+            self._enter(SAFE, _why(attitude_good, rate_good, safe_requested))
+        else:
+            self._leave_detumble(attitude_good, _square(omega_bi_b_rad_s))
         return self.mode
 
-    def _start(self, omega_bi_b_rad_s: Vec3) -> Mode:
-        x, y, z = omega_bi_b_rad_s
-        if self._initial is POINT and x * x + y * y + z * z > self._detumble_above:
-            return DETUMBLE
-        return self._initial
+    def _leave_standby(self, good: bool, rate_good: bool, omega_bi_b_rad_s: Vec3, safe_requested: bool) -> None:
+        if safe_requested:
+            self._enter(SAFE, "safe mode requested")
+        elif self._initial is STANDBY:
+            self.waits_for = ""
+        elif good:
+            high = self._initial is POINT and _square(omega_bi_b_rad_s) > self._detumble_above
+            self._enter(DETUMBLE if high else self._initial, "sensors good")
+        elif rate_good:
+            self.waits_for = "an attitude from the star tracker"
+            self._rate_ticks += 1
+            if self._rate_ticks >= self._patience_ticks or _square(omega_bi_b_rad_s) > self._detumble_above:
+                self._enter(SAFE if self._initial is SAFE else DETUMBLE, "rate good, no attitude yet")
+        else:
+            self._rate_ticks = 0
+            self.waits_for = "a rate from the gyro"
+
+    def _leave_detumble(self, attitude_good: bool, square: float) -> None:
+        if square >= self._point_below:
+            self.waits_for = "the rate to fall"
+        elif self._initial is DETUMBLE:
+            self.waits_for = ""
+        elif attitude_good:
+            self._enter(POINT, "rate low")
+        else:
+            self.waits_for = "an attitude from the star tracker"
+
+    def _leave_safe(self, attitude_good: bool, rate_good: bool, safe_requested: bool) -> None:
+        if self._initial is SAFE:
+            self.waits_for = ""
+        elif self._good_ticks >= self._recover_after:
+            self._enter(STANDBY, "sensors good again")
+        elif self._good_ticks:
+            self.waits_for = "the sensors to stay good"
+        elif safe_requested:
+            self.waits_for = "the request for safe mode to end"
+        else:
+            self.waits_for = "a rate from the gyro" if not rate_good else "an attitude from the star tracker"
 
     def _enter(self, mode: Mode, reason: str) -> None:
         self.mode = mode
         self.reason = reason
+        self.waits_for = ""
         self.changes += 1
+        self._rate_ticks = 0
 
 
-def _why(attitude_good: bool, rate_good: bool) -> str:
+def _square(v: Vec3) -> float:
+    x, y, z = v
+    return x * x + y * y + z * z
+
+
+def _why(attitude_good: bool, rate_good: bool, safe_requested: bool) -> str:
     if not rate_good:
         return "rate stale"
-    return "safe mode requested" if attitude_good else "attitude stale"
+    return "safe mode requested" if safe_requested else "attitude stale"

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from bus.icd.codec import encode_CYCLE_DONE, encode_HEARTBEAT_FSW, encode_rw_cmds
-from bus.units import Vec4
+from fsw.records import WheelCommands
 
 COUNTER_PERIOD = 15  # alive counters run 0..14
 STATE_BOOT, STATE_STOPPED, STATE_OPERATIONAL, STATE_FAILED = 0, 4, 5, 128
-WHEEL_OFF, WHEEL_TORQUE = 0, 1
-ALL_OFF, ALL_TORQUE = (WHEEL_OFF,) * 4, (WHEEL_TORQUE,) * 4
 
 
 class Outputs:
@@ -30,14 +28,14 @@ class Outputs:
         self._heartbeat_counter = (counter + 1) % COUNTER_PERIOD
         return encode_HEARTBEAT_FSW(counter, 0, state, self._run_hash)
 
-    def commands(self, tick: int, sync_cnt: int, tau_rw_cmd_nm: Vec4, enabled: bool, mode: int, slips: int) -> bytes:
+    def commands(self, tick: int, sync_cnt: int, wheels: WheelCommands, mode: int, slips: int) -> bytes:
         """The frames of one cycle: four wheel commands, a heartbeat when due, and CYCLE_DONE last.
 
         sync_cnt : tick counter of the sensor data the commands are based on, modulo 256
         """
         counter = self._cycle_counter
         self._cycle_counter = (counter + 1) % COUNTER_PERIOD
-        batch = encode_rw_cmds(counter, ALL_TORQUE if enabled else ALL_OFF, tau_rw_cmd_nm, sync_cnt)
+        batch = encode_rw_cmds(counter, wheels.modes, wheels.tau_rw_nm, sync_cnt)
         if tick % self._heartbeat_ticks == 0:
             batch += self.heartbeat(STATE_OPERATIONAL)
         return batch + encode_CYCLE_DONE(counter, mode, tick, slips)  # more slips than fit are sent as 0xFFFF

@@ -1,19 +1,31 @@
 """Publish: the telemetry topics of the flight software, by the rate group whose work they show.
 
-One record a tick: /fsw/attitude, /fsw/fdi, /fsw/timing. One record a control period, on the ticks on which control ran:
-/fsw/control, /fsw/observer, /fsw/executive, /fsw/law, /fsw/detector. With control_divider 1 that is the same.
+One record a cycle: /fsw/guidance, /fsw/attitude, /fsw/fdi, /fsw/timing, and /fsw/input with what the cycle was given. One
+record a control period, on the ticks on which control ran: /fsw/control, /fsw/observer, /fsw/wheel_health, /fsw/executive.
+With them, unless the executive sheds them, what the chosen algorithms hold inside: /fsw/law, /fsw/detector, ...
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 from bus.telemetry.link import Field, Topic
+from fsw.flight import Flight
 
 FIRST_CHANNEL = 101
+INPUT_CHANNEL = 100
+INPUT_TOPIC = "/fsw/input"
 SOURCE = 2  # which stream of the recorder this process writes
 
+GUIDANCE = Topic(
+    "/fsw/guidance",
+    "hilsat/FswGuidance",
+    (
+        Field("q_it", "float64", 4, "1", "attitude of the target in inertial, scalar first"),
+        Field("omega_ti_t_rad_s", "float64", 3, "rad/s", "rate of the target, target axes"),
+        Field("alpha_ti_t_rad_s2", "float64", 3, "rad/s^2", "its rate of change, target axes"),
+    ),
+)
 ATTITUDE = Topic(
     "/fsw/attitude",
     "hilsat/FswAttitude",
@@ -25,19 +37,6 @@ ATTITUDE = Topic(
         Field("error_deg", "float64", 1, "deg", "angle of q_err"),
     ),
 )
-CONTROL = Topic(
-    "/fsw/control",
-    "hilsat/FswControl",
-    (
-        Field("tau_cmd_b_nm", "float64", 3, "N m", "body torque commanded, after limiting"),
-        Field("tau_rw_cmd_nm", "float64", 4, "N m", "wheel torques commanded, after limiting"),
-    ),
-)
-OBSERVER = Topic(
-    "/fsw/observer",
-    "hilsat/FswObserver",
-    (Field("tau_fault_hat_b_nm", "float64", 3, "N m", "lumped fault torque on the body, body axes"),),
-)
 DETECTION = Topic(
     "/fsw/fdi",
     "hilsat/FswDetection",
@@ -45,6 +44,40 @@ DETECTION = Topic(
         Field("fault_hat_b_rad_s", "float64", 3, "rad/s", "gyro fault estimate"),
         Field("gyro_state", "float64", 3, "1", "0 nominal, 1 suspect, 2 alarm, 3 classified"),
         Field("wheel_alarm", "float64", 4, "1", "1 while the wheel's torque is not what was commanded"),
+    ),
+)
+TIMING = Topic(
+    "/fsw/timing",
+    "hilsat/FswTiming",
+    (
+        Field("cycle_us", "float64", 1, "us", "wall time of this cycle, from its frames in hand to its commands ready"),
+        Field("max_cycle_us", "float64", 1, "us", "longest cycle so far"),
+        Field("lateness_us", "float64", 1, "us", "release after deadline; 0 in lock-step"),
+        Field("dropped_ticks", "float64", 1, "1", "ticks whose telemetry the recorder had no room for"),
+    ),
+    deterministic=False,
+)
+CONTROL = Topic(
+    "/fsw/control",
+    "hilsat/FswControl",
+    (
+        Field("tau_cmd_b_nm", "float64", 3, "N m", "body torque commanded, as sent"),
+        Field("tau_rw_cmd_nm", "float64", 4, "N m", "wheel torques commanded, as sent"),
+        Field("margin", "float64", 1, "1", "share of the most loaded wheel's torque that was still free"),
+    ),
+)
+OBSERVER = Topic(
+    "/fsw/observer",
+    "hilsat/FswObserver",
+    (Field("tau_fault_hat_b_nm", "float64", 3, "N m", "lumped fault torque on the body, body axes"),),
+)
+WHEEL_HEALTH = Topic(
+    "/fsw/wheel_health",
+    "hilsat/FswWheelHealth",
+    (
+        Field("effectiveness", "float64", 4, "1", "share of its commanded torque that each wheel is thought to give"),
+        Field("available", "float64", 4, "1", "0: switched off and not used"),
+        Field("explained_b_nm", "float64", 3, "N m", "the part of the fault torque that these shares account for"),
     ),
 )
 EXECUTIVE = Topic(
@@ -57,44 +90,50 @@ EXECUTIVE = Topic(
         Field("refused", "float64", 1, "1", "frames refused so far: length, checksum or alive counter"),
         Field("foreign", "float64", 1, "1", "frames so far that are not for the flight software"),
         Field("implausible", "float64", 1, "1", "well-formed values so far that cannot be"),
+        Field("unit_fault", "float64", 1, "1", "frames so far in which a unit says that its value is not good"),
+        Field("skipped", "float64", 1, "1", "ticks so far that were not run at all"),
+        Field("caught_up", "float64", 1, "1", "ticks so far that were run late, back to back"),
+        Field("shed", "float64", 1, "1", "times so far that a group which is not essential was left out"),
+        Field("torques_saturated", "float64", 1, "1", "wheel torques so far that no frame could carry"),
     ),
 )
-TIMING = Topic(
-    "/fsw/timing",
-    "hilsat/FswTiming",
-    (
-        Field("cycle_us", "float64", 1, "us", "wall time of the previous cycle"),
-        Field("max_cycle_us", "float64", 1, "us", "longest cycle so far"),
-        Field("lateness_us", "float64", 1, "us", "release after deadline; 0 in lock-step"),
-        Field("dropped_ticks", "float64", 1, "1", "ticks whose telemetry the recorder had no room for"),
-    ),
-    deterministic=False,
-)
 
-TICK_TOPICS = (ATTITUDE, DETECTION, TIMING)
+TICK_TOPICS = (GUIDANCE, ATTITUDE, DETECTION, TIMING)
+CONTROL_TOPICS = (CONTROL, OBSERVER, WHEEL_HEALTH, EXECUTIVE)
 
 
-def make_control_topics(law: tuple[Any, ...], detector: tuple[Any, ...]) -> tuple[Topic, ...]:
-    """The topics of the control rate group; the last two carry what the chosen law and detector hold inside.
+def read_internals(flight: Flight) -> dict[str, tuple[Any, ...]]:
+    """What the algorithms of a flight hold inside, by the name of the topic that carries it; named tuples."""
+    return {
+        "/fsw/law": flight.controller.internals,
+        "/fsw/detector": flight.detector.internals,
+        "/fsw/estimator": flight.estimator.internals,
+        "/fsw/observer_state": flight.observer.internals,
+        "/fsw/wheel_state": flight.wheel_health.internals,
+        "/fsw/allocator": flight.allocator.internals,
+    }
 
-    law, detector : their `internals`, named tuples of numbers and tuples of numbers; only names and shapes count here
-    """
-    inside = (
-        internals_topic("/fsw/law", "hilsat/FswLaw", law),
-        internals_topic("/fsw/detector", "hilsat/FswDetector", detector),
-    )
-    return (CONTROL, OBSERVER, EXECUTIVE, *(topic for topic in inside if topic.fields))
+
+def make_diagnostics(flight: Flight) -> tuple[Topic, ...]:
+    """The topics of the diagnostics group: those of the chosen algorithms that have anything inside."""
+    topics = (internals_topic(name, internals) for name, internals in read_internals(flight).items())
+    return tuple(topic for topic in topics if topic.fields)
 
 
-def internals_topic(name: str, schema_name: str, internals: tuple[Any, ...]) -> Topic:
-    """A topic with one field for each field of a named tuple."""
+def internals_topic(name: str, internals: tuple[Any, ...]) -> Topic:
+    """A topic with one field for each field of a named tuple of numbers and tuples of numbers."""
     shapes = zip(type(internals)._fields, internals, strict=True)  # type: ignore[attr-defined]
     fields = tuple(Field(key, "float64", len(value) if isinstance(value, tuple) else 1) for key, value in shapes)
-    return Topic(name, schema_name, fields)
+    words = name.strip("/").replace("_", "/").split("/")
+    return Topic(name, "hilsat/" + "".join(word.capitalize() for word in words), fields)
 
 
-def make_flattener(internals: tuple[Any, ...]) -> Callable[[tuple[Any, ...]], tuple[float, ...]]:
-    """A function that gives the numbers of such a named tuple in order. Shapes are fixed, so no value is looked at."""
-    parts = [f"*v[{i}]" if isinstance(value, tuple) else f"v[{i}]" for i, value in enumerate(internals)]
-    flatten: Callable[[tuple[Any, ...]], tuple[float, ...]] = eval(f"lambda v: ({', '.join([*parts, ''])})")
-    return flatten
+def flatten(values: tuple[Any, ...]) -> list[float]:
+    """The numbers of a nest of tuples in order."""
+    flat: list[float] = []
+    for value in values:
+        if isinstance(value, tuple):
+            flat += flatten(value)
+        else:
+            flat.append(value)
+    return flat

@@ -25,6 +25,9 @@ class WheelModelConfig:
     inertia_kgm2: KgM2 = 0.01  # rotor, about its spin axis
 
 
+FourWheels = tuple[WheelModelConfig, WheelModelConfig, WheelModelConfig, WheelModelConfig]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ModelConfig:
     """What the flight software believes about the satellite."""
@@ -33,14 +36,21 @@ class ModelConfig:
     wheel_max_torque_nm: NewtonMetre = 0.1  # of each wheel, where `wheels` is not given
     wheel_max_speed_rad_s: Annotated[RadS, Gt(0)] = 1000.0
     wheel_inertia_kgm2: KgM2 = 0.01
-    wheels: tuple[WheelModelConfig, WheelModelConfig, WheelModelConfig, WheelModelConfig] | None = None  # None: x, y, z, skew
+    wheels: FourWheels | None = None  # None: along x, y, z and (1, 1, 1)
     wheel_momentum: bool = True  # count the wheels' momentum in the gyroscopic term
 
 
 class Vehicle:
     """The satellite, ready to compute with. Shared by all algorithms of a flight; nothing in it changes."""
 
-    __slots__ = ("inertia_kgm2", "inverse_inertia", "wheel_inertia_kgm2", "wheel_max_speed_rad_s", "wheel_momentum", "wheels")
+    __slots__ = (
+        "inertia_kgm2",
+        "inverse_inertia",
+        "wheel_inertia_kgm2",
+        "wheel_max_speed_rad_s",
+        "wheel_momentum",
+        "wheels",
+    )
 
     def __init__(self, config: ModelConfig) -> None:
         """Raises ConfigError when the inertia is not positive definite, or an axis has no direction."""

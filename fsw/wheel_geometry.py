@@ -33,7 +33,9 @@ class WheelGeometry:
         self._rows: tuple[Vec4, Vec4, Vec4] = ((ax, bx, cx, dx), (ay, by, cy, dy), (az, bz, cz, dz))
         gram = self._find_gram((1.0, 1.0, 1.0, 1.0))
         if not _determine(gram) > FLAT:
-            raise ConfigError(f"model.wheels: the axes {axes_b} lie in one plane; no torque about its normal is possible")
+            raise ConfigError(
+                f"model.wheels: the axes {axes_b} lie in one plane; no torque about its normal is possible"
+            )
         inverse = invert_symmetric(gram)
         a, b, c, d = (times(inverse, axis) for axis in axes_b)
         self._spread: WheelAxes = (a, b, c, d)

@@ -25,6 +25,16 @@ FRAMES_TEXT: Final = (
     "# uint32 id (little endian; bit 31 extended, 30 remote, 29 error), uint8 dlc, 3 zero bytes, 8 data bytes.\n"
     f"{STAMP_TEXT}\nuint8[] frames\n{STAMP_DEFINITION}"
 )
+INPUT_SCHEMA: Final = "hilsat/msg/CycleInput"
+INPUT_TEXT: Final = (
+    "# Everything that one cycle of the flight software consumed, in this order: what its executive told it, the commands\n"
+    "# due on its tick (one line of JSON each), the frames received since the cycle before (as in /can).\n"
+    f"{STAMP_TEXT}\n"
+    "uint32 slips  # deadlines missed so far\n"
+    "uint32 flags  # 1: safe mode asked for by the executive, 2: groups that are not essential are shed\n"
+    "string commands\n"
+    f"uint8[] frames\n{STAMP_DEFINITION}"
+)
 
 # kind -> (struct code, size = alignment)
 PRIMITIVES: Final[dict[str, tuple[str, int]]] = {

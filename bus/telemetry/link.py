@@ -25,13 +25,23 @@ from collections.abc import Callable, Sequence
 from typing import Any, Final, Protocol
 
 from bus.errors import ConfigError, RecordError
-from bus.telemetry.cdr import ENCAPSULATION, FRAMES_SCHEMA, FRAMES_TEXT, STAMP_SIZE, Field, Kind, Topic
+from bus.telemetry.cdr import (
+    ENCAPSULATION,
+    FRAMES_SCHEMA,
+    FRAMES_TEXT,
+    INPUT_SCHEMA,
+    INPUT_TEXT,
+    STAMP_SIZE,
+    Field,
+    Kind,
+    Topic,
+)
 from bus.telemetry.events import EVENTS, FAULTS, TF, format_event, format_fault, format_transform
 from bus.units import Vec3, Vec4
 
 __all__ = [
     "ANNOUNCE", "CLOSE", "HEADER", "JSON", "MAGIC", "TICK", "Field", "Kind", "Link", "MemoryLink", "Row",
-    "TelemetryLink", "TickPacker", "Topic", "announce_topics", "pack_frames", "pack_frames_stamped", "stamp",
+    "TelemetryLink", "TickPacker", "Topic", "announce_topics", "pack_frames", "pack_frames_stamped", "pack_input", "stamp",
 ]  # fmt: skip
 
 HEADER: Final = struct.Struct("<HBBIqq")  # MAGIC, kind, source, bytes that follow, tick, t_ns
@@ -44,6 +54,7 @@ HEAD: Final = struct.Struct("<IQQ4siI")  # sequence, log_time, publish_time, CDR
 MESSAGE_FIXED: Final = 22  # channel to publish_time
 FRAMES: Final = struct.Struct(f"<BQH{HEAD.size}sI")  # opcode, length, channel, head, bytes of frames
 FRAMES_FIXED: Final = 2 + HEAD.size + 4  # channel to the number of bytes
+INPUT: Final = struct.Struct("<III")  # slips, flags, bytes of the commands' text
 
 PIPE_BYTES: Final = 1 << 20  # the largest that an unprivileged process may ask for; about 8 s of a 100 Hz run
 STALL_S: Final = 5.0  # how long a blocking writer waits for the recorder
@@ -62,7 +73,7 @@ class TickPacker:
     in topic order. Raises struct.error for a value of the wrong kind or a wrong number of them.
     """
 
-    __slots__ = ("channels", "flat_size", "pack_stamped", "topics")
+    __slots__ = ("_cuts", "_pack_values", "channels", "flat_size", "topics")
 
     def __init__(self, topics: Sequence[Topic], first_channel: int) -> None:
         empty = [topic.name for topic in topics if not topic.fields]
@@ -71,7 +82,21 @@ class TickPacker:
         self.topics = tuple(topics)
         self.channels = tuple(range(first_channel, first_channel + len(topics)))
         self.flat_size = sum(topic.flat_size for topic in topics)
-        self.pack_stamped: Callable[[bytes, Sequence[Any]], bytes] = _compile_pack(self.topics, self.channels)
+        self._pack_values = struct.Struct("<" + "".join(topic.struct_format for topic in topics)).pack
+        self._cuts: list[tuple[bytes, int, int]] = []  # of each topic: prefix, and where its values begin and end
+        at = 0
+        for topic, channel in zip(self.topics, self.channels, strict=True):
+            end = at + topic.body_size - len(ENCAPSULATION) - STAMP_SIZE
+            self._cuts.append((PREFIX.pack(MESSAGE, MESSAGE_FIXED + topic.body_size, channel), at, end))
+            at = end
+
+    def pack_stamped(self, head: bytes, values: Sequence[Any]) -> bytes:
+        """The records of a tick: all values are packed by one call, then cut and laid behind the heads."""
+        data = self._pack_values(*values)
+        pieces: list[bytes] = []
+        for prefix, start, end in self._cuts:
+            pieces += (prefix, head, data[start:end])
+        return b"".join(pieces)
 
     def pack(self, seq: int, t_ns: int, *values: float) -> bytes:
         """The records of a tick for which there is no head yet; t_ns is both log and publish time."""
@@ -82,28 +107,6 @@ def stamp(seq: int, t_ns: int) -> bytes:
     """What all records of a tick have behind their prefix: sequence, log and publish time, and the stamp in CDR."""
     sec = t_ns // 1_000_000_000
     return HEAD.pack(seq, t_ns, t_ns, ENCAPSULATION, sec, t_ns - sec * 1_000_000_000)
-
-
-def _compile_pack(topics: Sequence[Topic], channels: Sequence[int]) -> Callable[[bytes, Sequence[Any]], bytes]:
-    """The pack function of these topics, with the cuts between them written out.
-
-    All values are packed by one call, cut, and laid between the heads by a second: one call with the heads among
-    the values needs them spliced into the argument tuple, which costs half as much again (docs/decisions/0001).
-    """
-    values, records, pieces, at = "<", "<", [], 0
-    constants: dict[str, Any] = {}
-    for topic, channel in zip(topics, channels, strict=True):
-        size = topic.body_size - len(ENCAPSULATION) - STAMP_SIZE
-        values += topic.struct_format
-        records += f"{PREFIX.size}s{HEAD.size}s{size}s"
-        constants[f"prefix_{channel}"] = PREFIX.pack(MESSAGE, MESSAGE_FIXED + topic.body_size, channel)
-        pieces.append(f"prefix_{channel}, head, data[{at}:{at + size}]")
-        at += size
-    source = f"def pack(head, values):\n    data = pack_values(*values)\n    return pack_records({', '.join(pieces)})\n"
-    constants |= {"pack_values": struct.Struct(values).pack, "pack_records": struct.Struct(records).pack}
-    exec(source, constants)
-    pack: Callable[[bytes, Sequence[Any]], bytes] = constants["pack"]
-    return pack
 
 
 def pack_frames(channel: int, seq: int, t_ns: int, batch: bytes) -> bytes:
@@ -117,8 +120,20 @@ def pack_frames_stamped(channel: int, head: bytes, batch: bytes) -> bytes:
     return FRAMES.pack(MESSAGE, FRAMES_FIXED + size, channel, head, size) + batch
 
 
-def announce_topics(packers: Sequence[TickPacker] = (), frames: dict[int, str] | None = None) -> bytes:
-    """The channel table of one process as JSON: its packers' topics, and the bus name behind each frame channel."""
+def pack_input(channel: int, head: bytes, slips: int, flags: int, commands: str, frames: bytes) -> bytes:
+    """One Message record of /fsw/input, see bus.telemetry.cdr.INPUT_TEXT."""
+    text = commands.encode() + b"\0"
+    text += bytes(-len(text) % 4)
+    body = INPUT.pack(slips, flags, len(commands.encode()) + 1) + text + struct.pack("<I", len(frames)) + frames
+    return PREFIX.pack(MESSAGE, 2 + HEAD.size + len(body), channel) + head + body
+
+
+def announce_topics(
+    packers: Sequence[TickPacker] = (), frames: dict[int, str] | None = None, inputs: dict[int, str] | None = None
+) -> bytes:
+    """The channel table of one process as JSON: its packers' topics, the bus name behind each frame channel, and the topic
+    behind each channel of cycle inputs.
+    """
     table = [
         {
             "channel": channel,
@@ -129,6 +144,17 @@ def announce_topics(packers: Sequence[TickPacker] = (), frames: dict[int, str] |
             "units": {},
         }
         for channel, bus in (frames or {}).items()
+    ]
+    table += [
+        {
+            "channel": channel,
+            "topic": topic,
+            "schema_name": INPUT_SCHEMA,
+            "schema": INPUT_TEXT,
+            "deterministic": True,
+            "units": {},
+        }
+        for channel, topic in (inputs or {}).items()
     ]
     for packer in packers:
         table += [

@@ -19,7 +19,9 @@ class PseudoInverseConfig:
 
     kind: Literal["pseudo_inverse"]
     saturation: Literal["clip", "direction"] = "clip"
-    share_min: Annotated[float, Gt(0), Le(1)] = 0.15  # a wheel judged weaker is still asked as if it gave this share [1]
+    share_min: Annotated[float, Gt(0), Le(1)] = (
+        0.15  # a wheel judged weaker is still asked as if it gave this share [1]
+    )
 
 
 class PseudoInverse:
@@ -57,7 +59,9 @@ class PseudoInverse:
             if self._keep_direction:
                 a, b, c, d = tau_rw_nm
                 tau_rw_nm = (a / load, b / load, c / load, d / load)
-            tau_rw_nm = wheels.limit(tau_rw_nm)  # after scaling too: rounding may leave the largest a bit above its limit
+            tau_rw_nm = wheels.limit(
+                tau_rw_nm
+            )  # after scaling too: rounding may leave the largest a bit above its limit
         return Allocation(tau_rw_nm, wheels.combine(tau_rw_nm), 1.0 - load if load < 1.0 else 0.0)
 
     def _find_shares(self, health: WheelHealth) -> Vec4:

@@ -41,11 +41,10 @@ def make_guide(command: Command, start: Target, t_s: float) -> Guide:
     """The course that a command asks for, from where the target stands. Raises ConfigError when it is wrong."""
     word = command.verb.removeprefix(PREFIX)
     settings, make = GUIDES[word]
-    entry = build(settings, {"do": word, "at_s": t_s} | command.arguments, f"command {command.verb}")
+    entry: Any = build(settings, {"do": word, "at_s": t_s} | command.arguments, f"command {command.verb}")
     return make(entry, start, t_s)
 
 
 def is_known(verb: str) -> bool:
     """True where the verb is one of guidance."""
     return verb.startswith(PREFIX) and verb.removeprefix(PREFIX) in GUIDES
-

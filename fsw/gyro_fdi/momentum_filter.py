@@ -112,4 +112,3 @@ class MomentumFilter:
             h = self._h
             px, py, pz = px - h[0], py - h[1], pz - h[2]
         return (py * w[2] - pz * w[1], pz * w[0] - px * w[2], px * w[1] - py * w[0])
-

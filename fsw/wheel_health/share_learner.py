@@ -49,7 +49,7 @@ class ShareLearner:
         self._tau_seen = ZERO4
 
     def step(self, dt_s: float, wheels: Wheels, tau_rw_cmd_nm: Vec4, tau_fault_hat_b_nm: Vec3 | None) -> WheelHealth:
-        """Return the shares, and the part of the fault torque that they explain. Without a fault torque nothing is learnt."""
+        """Return the shares, and the part of the fault torque that they explain; without one nothing is learnt."""
         if tau_fault_hat_b_nm is None:
             self._tau_seen = tau_rw_cmd_nm
             return WheelHealth(self._shares, ALL_WHEELS, NO_WHEEL)

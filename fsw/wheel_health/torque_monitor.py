@@ -22,7 +22,9 @@ class TorqueMonitorConfig:
     kind: Literal["torque_monitor"]
     threshold_nm: Annotated[float, Unit("N m"), Gt(0)] = 0.01  # residual that is a fault
     filter_s: Annotated[Seconds, Gt(0)] = 1.0  # time constant of the low pass that the residual goes through
-    reaction: Literal["report", "isolate"] = "isolate"  # isolate: a wheel with an alarm is switched off and not used again
+    reaction: Literal["report", "isolate"] = (
+        "isolate"  # isolate: a wheel with an alarm is switched off and not used again
+    )
 
 
 class TorqueMonitorInternals(NamedTuple):

@@ -13,22 +13,17 @@ from hypothesis import strategies as st
 
 from bus.units import Vec3, Vec4
 from fsw import allocators, controllers, estimation, observers
-from fsw.config import (
-    AllocatorConfig,
-    BrakingProfileConfig,
-    ControllerConfig,
-    DirectConfig,
-    EstimatorConfig,
-    IloConfig,
-    MekfConfig,
-    ModelConfig,
-    NoObserverConfig,
-    ObserverConfig,
-    PseudoInverseConfig,
-    SmcConfig,
-    VariableStructureConfig,
-)
+from fsw.allocators.pseudo_inverse import PseudoInverseConfig
+from fsw.config import AllocatorConfig, ControllerConfig, EstimatorConfig, ObserverConfig
+from fsw.controllers.braking_profile import BrakingProfileConfig
+from fsw.controllers.smc import SmcConfig
+from fsw.controllers.variable_structure import VariableStructureConfig
+from fsw.estimation.direct import DirectConfig
+from fsw.estimation.mekf import MekfConfig
+from fsw.observers.ilo import IloConfig
+from fsw.observers.none import NoObserverConfig
 from fsw.records import Sensors
+from fsw.vehicle import ModelConfig
 
 PERIOD_S = 0.1
 LIMIT_NM = 0.1

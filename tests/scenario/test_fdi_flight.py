@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fsw.config import ModelConfig, PracticalDetectorConfig, Wang2010DetectorConfig
 from fsw.gyro_fdi import REGISTRY
 from fsw.gyro_fdi.practical import PracticalDetector
+from fsw.gyro_fdi.practical_settings import PracticalDetectorConfig
+from fsw.gyro_fdi.wang2010 import Wang2010DetectorConfig
+from fsw.vehicle import ModelConfig
 from plant_server.config import FaultConfig
 from tools.design import fdi_campaign
 from tools.design.fdi_campaign import Watch, vary

@@ -14,10 +14,11 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from fsw.config import ModelConfig, PracticalDetectorConfig
 from fsw.gyro_fdi.classification import FaultKind
 from fsw.gyro_fdi.practical import PracticalDetector, PracticalInternals
+from fsw.gyro_fdi.practical_settings import PracticalDetectorConfig
 from fsw.records import Detection, Estimate, Sensors
+from fsw.vehicle import ModelConfig
 
 DATA = Path(__file__).parents[1] / "data" / "gyro"
 MODEL = ModelConfig(inertia_kgm2=((45.0, 3.0, 2.0), (3.0, 38.0, -1.5), (2.0, -1.5, 50.0)))

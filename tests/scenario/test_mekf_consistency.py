@@ -9,9 +9,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from fsw.config import MekfConfig, ModelConfig
-from fsw.estimation.mekf import Mekf
+from fsw.estimation.mekf import Mekf, MekfConfig
 from fsw.records import Sensors
+from fsw.vehicle import ModelConfig
 
 MODEL = ModelConfig(inertia_kgm2=((45.0, 3.0, 2.0), (3.0, 38.0, -1.5), (2.0, -1.5, 50.0)))
 CONFIG = MekfConfig(kind="mekf")

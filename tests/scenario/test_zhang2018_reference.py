@@ -14,22 +14,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fsw.allocators.pseudo_inverse import PseudoInverse
-from fsw.config import (
-    BrakingProfileConfig,
-    IloConfig,
-    ModelConfig,
-    NoObserverConfig,
-    PseudoInverseConfig,
-    SmcConfig,
-    VariableStructureConfig,
-)
-from fsw.controllers.braking_profile import BrakingProfile
-from fsw.controllers.smc import SlidingMode
-from fsw.controllers.variable_structure import VariableStructure
+from fsw.allocators.pseudo_inverse import PseudoInverse, PseudoInverseConfig
+from fsw.controllers.braking_profile import BrakingProfile, BrakingProfileConfig
+from fsw.controllers.smc import SlidingMode, SmcConfig
+from fsw.controllers.variable_structure import VariableStructure, VariableStructureConfig
 from fsw.guidance import Guidance
-from fsw.observers.ilo import Ilo
-from fsw.observers.none import NoObserver
+from fsw.observers.ilo import Ilo, IloConfig
+from fsw.observers.none import NoObserver, NoObserverConfig
+from fsw.vehicle import ModelConfig
 
 DATA = Path(__file__).parents[1] / "data" / "zhang2018"
 J = np.array([[45.0, 3.0, 2.0], [3.0, 38.0, -1.5], [2.0, -1.5, 50.0]])

@@ -13,7 +13,10 @@ import pytest
 from bus.errors import ConfigError
 from bus.run import RunConfig
 from bus.settings import build
-from fsw.config import FswConfig, IloConfig, NoObserverConfig, VariableStructureConfig
+from fsw.config import FswConfig
+from fsw.controllers.variable_structure import VariableStructureConfig
+from fsw.observers.ilo import IloConfig
+from fsw.observers.none import NoObserverConfig
 from plant_server.config import FaultConfig, PlantConfig
 from tools.config import load_scenario, load_text
 from tools.config.check import check

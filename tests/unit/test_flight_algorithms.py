@@ -12,16 +12,16 @@ from scipy.spatial.transform import Rotation
 
 from bus.errors import ConfigError, StepSizeError
 from bus.units import Vec3, Vec4
-from fsw.allocators.pseudo_inverse import PseudoInverse
-from fsw.config import BrakingProfileConfig, DirectConfig, IloConfig, ModelConfig, PseudoInverseConfig, SmcConfig
-from fsw.controllers.braking_profile import BrakingProfile, find_authority, spread_weighted
-from fsw.controllers.smc import SlidingMode
-from fsw.estimation.direct import Direct
+from fsw.allocators.pseudo_inverse import PseudoInverse, PseudoInverseConfig
+from fsw.controllers.braking_profile import BrakingProfile, BrakingProfileConfig, find_authority, spread_weighted
+from fsw.controllers.smc import SlidingMode, SmcConfig
+from fsw.estimation.direct import Direct, DirectConfig
 from fsw.estimation.rotation import turn
 from fsw.guidance import HYSTERESIS_Q0, Guidance
-from fsw.observers.ilo import Ilo, invert_inertia, scale_gains
+from fsw.observers.ilo import Ilo, IloConfig, invert_inertia, scale_gains
 from fsw.records import Sensors
-from fsw.wheel_axes import D0_B_RW, combine_wheels, project_on_wheels, spread_on_wheels
+from fsw.vehicle import ModelConfig
+from fsw.wheel_geometry import D0_B_RW, combine_wheels, project_on_wheels, spread_on_wheels
 
 J = ((45.0, 3.0, 2.0), (3.0, 38.0, -1.5), (2.0, -1.5, 50.0))
 MODEL = ModelConfig(inertia_kgm2=J)

@@ -10,9 +10,9 @@ from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from fsw import estimation
-from fsw.config import MekfConfig, ModelConfig
-from fsw.estimation.mekf import Mekf
+from fsw.estimation.mekf import Mekf, MekfConfig
 from fsw.records import Estimate, Sensors
+from fsw.vehicle import ModelConfig
 
 MODEL = ModelConfig(inertia_kgm2=((45.0, 3.0, 2.0), (3.0, 38.0, -1.5), (2.0, -1.5, 50.0)))
 CONFIG = MekfConfig(kind="mekf")

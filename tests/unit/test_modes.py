@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from bus.units import DEG
-from fsw.config import ModesConfig
-from fsw.modes import Mode, ModeManager
+from fsw.modes import Mode, ModeManager, ModesConfig
 
 STILL = (0.0, 0.0, 0.0)
 SPINNING = (6.0 * DEG, 0.0, 0.0)

@@ -8,17 +8,17 @@ from functools import cache
 from bus.words import nearest
 
 # Topics whose fields depend on the control law and the detector that fly; the grader looks at what was logged.
-OPEN_TOPICS = ("fsw.law", "fsw.detector")
+OPEN_TOPICS = ("fsw.law", "fsw.detector", "fsw.estimator", "fsw.observer_state", "fsw.wheel_state", "fsw.allocator")
 
 
 @cache
 def list_signals() -> dict[str, tuple[str, ...]]:
     """Fields of every topic that all runs log, by the topic's name as expressions write it: truth.attitude."""
-    from fsw.telemetry import ATTITUDE, CONTROL, DETECTION, EXECUTIVE, OBSERVER, TIMING
+    from fsw.telemetry import CONTROL_TOPICS, TICK_TOPICS
     from plant_server.plant import TRUTH_FIELDS
 
     signals = {f"truth.{group}": tuple(field[0] for field in fields) for group, fields in TRUTH_FIELDS.items()}
-    for topic in (ATTITUDE, CONTROL, OBSERVER, DETECTION, EXECUTIVE, TIMING):
+    for topic in (*TICK_TOPICS, *CONTROL_TOPICS):
         signals[topic.name.strip("/").replace("/", ".")] = tuple(field.name for field in topic.fields)
     return signals
 

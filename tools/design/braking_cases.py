@@ -19,7 +19,7 @@ import numpy as np
 
 from bus.units import DEG, Mat3, Vec3, Vec4
 from fsw.records import Allocator, Controller, Observer
-from fsw.wheel_axes import combine_wheels
+from fsw.wheel_geometry import combine_wheels
 
 CASES_FILE = Path(__file__).with_name("braking_cases.json")
 INERTIA_KGM2: Mat3 = ((45.0, 3.0, 2.0), (3.0, 38.0, -1.5), (2.0, -1.5, 50.0))

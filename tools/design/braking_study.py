@@ -16,22 +16,14 @@ import sys
 from collections.abc import Callable
 from dataclasses import replace
 
-from fsw.allocators.pseudo_inverse import PseudoInverse
-from fsw.config import (
-    BrakingProfileConfig,
-    IloConfig,
-    ModelConfig,
-    NoObserverConfig,
-    PseudoInverseConfig,
-    SmcConfig,
-    VariableStructureConfig,
-)
-from fsw.controllers.braking_profile import BrakingProfile
-from fsw.controllers.smc import SlidingMode
-from fsw.controllers.variable_structure import VariableStructure
-from fsw.observers.ilo import Ilo, scale_gains
-from fsw.observers.none import NoObserver
+from fsw.allocators.pseudo_inverse import PseudoInverse, PseudoInverseConfig
+from fsw.controllers.braking_profile import BrakingProfile, BrakingProfileConfig
+from fsw.controllers.smc import SlidingMode, SmcConfig
+from fsw.controllers.variable_structure import VariableStructure, VariableStructureConfig
+from fsw.observers.ilo import Ilo, IloConfig, scale_gains
+from fsw.observers.none import NoObserver, NoObserverConfig
 from fsw.records import Controller, Observer
+from fsw.vehicle import ModelConfig
 from tools.design.braking_cases import INERTIA_KGM2, Case, Conditions, Stack, fly, read_cases
 
 GROUPS = ("zhang2018", "given", "random, seen", "random, fresh")

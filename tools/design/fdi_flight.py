@@ -16,18 +16,16 @@ import numpy as np
 from bus.attitude import IDENTITY, angle_between, exp_map, multiply
 from bus.units import Mat3, Vec3, Vec4
 from fsw import allocators, controllers, estimation, gyro_fdi, observers
-from fsw.config import (
-    DetectorConfig,
-    IloConfig,
-    MekfConfig,
-    ModelConfig,
-    PracticalDetectorConfig,
-    PseudoInverseConfig,
-    SmcConfig,
-)
+from fsw.allocators.pseudo_inverse import PseudoInverseConfig
+from fsw.config import DetectorConfig
+from fsw.controllers.smc import SmcConfig
+from fsw.estimation.mekf import MekfConfig
 from fsw.guidance import Guidance
+from fsw.gyro_fdi.practical_settings import PracticalDetectorConfig
+from fsw.observers.ilo import IloConfig
 from fsw.records import Detection, Sensors
-from fsw.wheel_axes import combine_wheels
+from fsw.vehicle import ModelConfig
+from fsw.wheel_geometry import combine_wheels
 from plant_server.config import BodyConfig, FaultConfig, GyroConfig, PlantConfig, StarTrackerConfig, WheelConfig
 from plant_server.plant import TRUTH_FIELDS, Plant
 

@@ -10,10 +10,12 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from bus.clock import SystemClock
 from bus.errors import RecordError
 from bus.telemetry.link import Link, TelemetryLink
 from fsw.flight import Flight
-from fsw.flight_log import FlightLog
+from fsw.guidance.timeline import make_command
+from fsw.node import FswNode
 from fsw.telemetry import SOURCE as FSW_SOURCE
 from plant_server.channel import PlantServer
 from plant_server.plant import Plant
@@ -37,20 +39,20 @@ class Bench:
         self.server = PlantServer(plant, tick_s, resolved.run_hash)
         self.flight = Flight(scenario.fsw, tick_s, resolved.run_hash)
         self._plant_log = PlantLog(self.server, plant_link or TelemetryLink(None, PLANT_SOURCE, False), self._tick_ns)
-        self._flight_log = FlightLog(self.flight, fsw_link or TelemetryLink(None, FSW_SOURCE, False), self._tick_ns)
+        timeline = [make_command(entry, tick_s) for entry in scenario.fsw.timeline]
+        fsw_link = fsw_link or TelemetryLink(None, FSW_SOURCE, False)
+        self.node = FswNode(self.flight, fsw_link, self._tick_ns, SystemClock(), timeline)
 
     def run(self, ticks: int, on_progress: Callable[[int], None] | None = None) -> None:
         """Run that many ticks from where the bench stands."""
-        server, flight = self.server, self.flight
-        log, flight_log = self._plant_log, self._flight_log
-        counters = flight.executive
+        server, node, log = self.server, self.node, self._plant_log
+        answers: list[bytes] = []
         for tick in range(server.tick, server.tick + ticks):
             frames = server.announce()
-            answer = flight.cycle(tick, frames)
-            server.accept(answer)
-            log.write(frames + answer)
-            counters.cycles += 1
-            flight_log.write(tick)
+            answers.clear()
+            node.tick(tick, frames, answers.append)
+            server.accept(answers[0])
+            log.write(frames + answers[0])
             server.advance()
             if on_progress is not None and not tick % 100:
                 on_progress(tick)

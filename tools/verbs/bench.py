@@ -17,7 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from bus.units import Vec4
-from fsw.records import Detection, Detector, Estimate, Sensors
+from fsw.families import Detector
+from fsw.records import Detection, Estimate, Sensors
 from tools.config.loader import load_scenario
 from tools.config.scenario import Resolved
 from tools.config.scenario_files import find_scenario
