@@ -89,7 +89,8 @@ class Flight:
         )
         if detection.rate_step_b_rad_s != ZERO3:
             self.observer.shift_rate(detection.rate_step_b_rad_s)
-        self.guidance.advance(sensors.t_s)
+        if self.guidance.follows:
+            self.guidance.advance(sensors.t_s)
         self.control_ran = tick >= self.control_slot.next_tick
         if self.control_ran:
             ticks = self.control_slot.take(tick)

@@ -49,8 +49,7 @@ class FlightLog:
         flight, link = self._flight, self.link
         t_ns = tick * self._tick_ns
         self._say_mode(tick, t_ns)
-        target, error = flight.guidance.target, flight.error
-        detection, counters = flight.detection, flight.executive
+        error, detection, counters = flight.error, flight.detection, flight.executive
         estimate = detection.estimate
         control = diagnostics = None
         if flight.control_ran:
@@ -61,8 +60,8 @@ class FlightLog:
         text = "\n".join([command.to_json() for command in commands]) if commands else ""
         link.write_row((
             tick, t_ns, counters.slips, flags, text, frames,
-            target.q_it, target.omega_ti_t_rad_s, target.alpha_ti_t_rad_s2,
             estimate.q_ib, estimate.omega_bi_b_rad_s, estimate.bias_b_rad_s, error.q_tb, flight.error_deg,
+            flight.guidance.target.q_it,
             detection.fault_hat_b_rad_s, detection.gyro_state, flight.health.alarm,
             counters.last_cycle_ns, counters.max_cycle_ns, counters.last_lateness_ns, link.dropped, control, diagnostics,
         ))  # fmt: skip
@@ -71,7 +70,9 @@ class FlightLog:
         """What the control group and the executive have to show, in the order of CONTROL_TOPICS."""
         flight = self._flight
         counters, inputs, health = flight.executive, flight.inputs.counters, flight.health
+        target = flight.guidance.target
         return (
+            target.omega_ti_t_rad_s, target.alpha_ti_t_rad_s2,
             flight.tau_cmd_b_nm, flight.wheel_commands.tau_rw_nm, flight.allocation.margin,
             flight.tau_fault_hat_b_nm,
             health.effectiveness, health.available, health.explained_b_nm,
@@ -83,12 +84,11 @@ class FlightLog:
         """The records of each cycle, from what `write` noted."""
         pack, records = self._every_tick.pack_stamped, []
         for (
-            tick, t_ns, slips, flags, commands, frames, q_it, omega_ti, alpha_ti, q_ib, omega_bi, bias, q_err, error_deg,
-            fault_hat, gyro_state, wheel_alarm, cycle_ns, max_cycle_ns, lateness_ns, dropped, control, diagnostics,
+            tick, t_ns, slips, flags, commands, frames, q_ib, omega_bi, bias, q_err, error_deg, q_it, fault_hat, gyro_state, wheel_alarm, cycle_ns, max_cycle_ns, lateness_ns, dropped, control, diagnostics,
         ) in rows:  # fmt: skip
             head = stamp(tick, t_ns)
             data = pack(head, (
-                *q_it, *omega_ti, *alpha_ti, *q_ib, *omega_bi, *bias, *q_err, error_deg, *fault_hat, *gyro_state,
+                *q_ib, *omega_bi, *bias, *q_err, error_deg, *q_it, *fault_hat, *gyro_state,
                 *wheel_alarm, cycle_ns * 1e-3, max_cycle_ns * 1e-3, lateness_ns * 1e-3, dropped,
             ))  # fmt: skip
             if control is not None:

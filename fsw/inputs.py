@@ -19,7 +19,7 @@ from bus.icd.e2e import Link, LinkGroup, part_group
 from bus.units import Vec4
 from bus.wire.frames import FRAME
 from fsw.modes import ModesConfig
-from fsw.records import ALL_AXES, Sensors, WheelReading
+from fsw.records import ALL_AXES, Sensors
 from fsw.vehicle import Vehicle
 
 Values = tuple[int | float, ...]  # (counter, high nibble, payload...) as the decoder returns them
@@ -134,10 +134,11 @@ class Inputs:
         self.sensors.omega_meas_b_rad_s = (x, y, z)
         a, b, c, d = self.sensors.wheels
         r1, r2, r3, r4 = self._rotor_inertia_kgm2
-        _update(a, s1, i1, STATUS_OK, r1)
-        _update(b, s2, i2, STATUS_OK, r2)
-        _update(c, s3, i3, STATUS_OK, r3)
-        _update(d, s4, i4, STATUS_OK, r4)
+        a.speed_rad_s, b.speed_rad_s, c.speed_rad_s, d.speed_rad_s = s1, s2, s3, s4
+        a.h_nms, b.h_nms, c.h_nms, d.h_nms = s1 * r1, s2 * r2, s3 * r3, s4 * r4
+        a.current_a, b.current_a, c.current_a, d.current_a = i1 * 1e-3, i2 * 1e-3, i3 * 1e-3, i4 * 1e-3
+        a.status = b.status = c.status = d.status = STATUS_OK
+        a.valid = b.valid = c.valid = d.valid = True
         if between:
             self._take(between)
         return True
@@ -203,7 +204,11 @@ class Inputs:
                 self.counters.implausible += 1
                 return
             reading = self.sensors.wheels[wheel]
-            _update(reading, speed_rad_s, values[3], int(values[1]), self._rotor_inertia_kgm2[wheel])
+            reading.speed_rad_s = speed_rad_s
+            reading.h_nms = speed_rad_s * self._rotor_inertia_kgm2[wheel]
+            reading.current_a = values[3] * 1e-3
+            reading.status = int(values[1])
+            reading.valid = True
             self._wheel_tick[wheel] = self._tick
 
         return on_wheel
@@ -229,11 +234,3 @@ class Inputs:
         self._q_ib = (q0 / norm, q1 / norm, q2 / norm, q3 / norm)
         self._q_tick = self._tick - age_ticks
         self._q_new = True
-
-
-def _update(reading: WheelReading, speed_rad_s: float, current_ma: float, status: int, inertia_kgm2: float) -> None:
-    reading.speed_rad_s = speed_rad_s
-    reading.current_a = current_ma * 1e-3
-    reading.status = status
-    reading.valid = True
-    reading.h_nms = speed_rad_s * inertia_kgm2

@@ -74,7 +74,8 @@ class ModeManager:
         self._good_ticks = self._good_ticks + 1 if good else 0
         mode = self.mode
         if mode is POINT and good:
-            if _square(omega_bi_b_rad_s) > self._detumble_above:
+            x, y, z = omega_bi_b_rad_s
+            if x * x + y * y + z * z > self._detumble_above:
                 self._enter(DETUMBLE, "rate high")
         elif mode is STANDBY:
             self._leave_standby(good, rate_good, omega_bi_b_rad_s, safe_requested)

@@ -1,7 +1,7 @@
 """Publish: the telemetry topics of the flight software, by the rate group whose work they show.
 
-One record a cycle: /fsw/guidance, /fsw/attitude, /fsw/fdi, /fsw/timing, and /fsw/input with what the cycle was given. One
-record a control period, on the ticks on which control ran: /fsw/control, /fsw/observer, /fsw/wheel_health, /fsw/executive.
+One record a cycle: /fsw/attitude, /fsw/fdi, /fsw/timing, and /fsw/input with what the cycle was given. One record a control
+period, on the ticks on which control ran: /fsw/guidance, /fsw/control, /fsw/observer, /fsw/wheel_health, /fsw/executive.
 With them, unless the executive sheds them, what the chosen algorithms hold inside: /fsw/law, /fsw/detector, ...
 """
 
@@ -21,7 +21,6 @@ GUIDANCE = Topic(
     "/fsw/guidance",
     "hilsat/FswGuidance",
     (
-        Field("q_it", "float64", 4, "1", "attitude of the target in inertial, scalar first"),
         Field("omega_ti_t_rad_s", "float64", 3, "rad/s", "rate of the target, target axes"),
         Field("alpha_ti_t_rad_s2", "float64", 3, "rad/s^2", "its rate of change, target axes"),
     ),
@@ -35,6 +34,7 @@ ATTITUDE = Topic(
         Field("bias_b_hat_rad_s", "float64", 3, "rad/s", "gyro bias estimate"),
         Field("q_err", "float64", 4, "1", "body with respect to target, scalar part not negative up to hysteresis"),
         Field("error_deg", "float64", 1, "deg", "angle of q_err"),
+        Field("q_it", "float64", 4, "1", "attitude of the target in inertial, scalar first"),
     ),
 )
 DETECTION = Topic(
@@ -98,8 +98,8 @@ EXECUTIVE = Topic(
     ),
 )
 
-TICK_TOPICS = (GUIDANCE, ATTITUDE, DETECTION, TIMING)
-CONTROL_TOPICS = (CONTROL, OBSERVER, WHEEL_HEALTH, EXECUTIVE)
+TICK_TOPICS = (ATTITUDE, DETECTION, TIMING)
+CONTROL_TOPICS = (GUIDANCE, CONTROL, OBSERVER, WHEEL_HEALTH, EXECUTIVE)
 
 
 def read_internals(flight: Flight) -> dict[str, tuple[Any, ...]]:

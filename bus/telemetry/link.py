@@ -55,6 +55,10 @@ MESSAGE_FIXED: Final = 22  # channel to publish_time
 FRAMES: Final = struct.Struct(f"<BQH{HEAD.size}sI")  # opcode, length, channel, head, bytes of frames
 FRAMES_FIXED: Final = 2 + HEAD.size + 4  # channel to the number of bytes
 INPUT: Final = struct.Struct("<III")  # slips, flags, bytes of the commands' text
+INPUT_ALONE: Final = struct.Struct(
+    f"<BQH{HEAD.size}sIIIII"
+)  # a whole record without commands: their text is one zero byte
+INPUT_FIXED: Final = 2 + HEAD.size + 20
 
 PIPE_BYTES: Final = 1 << 20  # the largest that an unprivileged process may ask for; about 8 s of a 100 Hz run
 STALL_S: Final = 5.0  # how long a blocking writer waits for the recorder
@@ -122,6 +126,9 @@ def pack_frames_stamped(channel: int, head: bytes, batch: bytes) -> bytes:
 
 def pack_input(channel: int, head: bytes, slips: int, flags: int, commands: str, frames: bytes) -> bytes:
     """One Message record of /fsw/input, see bus.telemetry.cdr.INPUT_TEXT."""
+    if not commands:  # nearly always
+        size = len(frames)
+        return INPUT_ALONE.pack(MESSAGE, INPUT_FIXED + size, channel, head, slips, flags, 1, 0, size) + frames
     text = commands.encode() + b"\0"
     text += bytes(-len(text) % 4)
     body = INPUT.pack(slips, flags, len(commands.encode()) + 1) + text + struct.pack("<I", len(frames)) + frames

@@ -22,12 +22,13 @@ HYSTERESIS_Q0 = 0.1  # the sign changes only when q0 < -0.1: 11.5 degrees past t
 class Guidance:
     """Follows a course of the target, a fixed attitude at first."""
 
-    __slots__ = ("_guide", "_sign", "target")
+    __slots__ = ("_guide", "_sign", "follows", "target")
 
     def __init__(self, target_q: Vec4) -> None:
         """target_q: attitude to begin with, q_it, scalar first; normalised here. Raises ConfigError when it is zero."""
         self.target = Target(read_attitude("target_q", target_q))
         self._guide: Guide | None = None
+        self.follows = False  # a course; else the target stands still
         self.reset()
 
     def reset(self) -> None:
@@ -37,6 +38,7 @@ class Guidance:
     def follow(self, command: Command, t_s: float) -> None:
         """Take up another course from the time t_s on [s]. Raises ConfigError, and keeps its course, when it is wrong."""
         self._guide = make_guide(command, self.target, t_s)
+        self.follows = True
 
     def advance(self, t_s: float) -> Target:
         """Return the target at the time t_s [s], and keep it as the target of this tick."""
