@@ -112,7 +112,7 @@ class Inputs:
         top = self._speed_limit_rad_s
         if not (-top <= s1 <= top and -top <= s2 <= top and -top <= s3 <= top and -top <= s4 <= top):
             return self._receive_each(tick, batch)
-        self._group.accept()
+        self._group.accept(usual, tick)
         self.plant_tick = plant_tick
         rate, speed = (x, y, z), (s1, s2, s3, s4)
         self._usual = (tick, rate, speed)
@@ -163,7 +163,7 @@ class Inputs:
             if slot is None:
                 self.counters.foreign += 1
                 continue
-            values = slot[0](data if length == 8 else data[:length])
+            values = slot[0](data if length == 8 else data[:length], self._tick)
             if values is None:
                 self.counters.refused += 1
             else:
