@@ -35,9 +35,10 @@ class Flight:
     def __init__(self, config: FswConfig, tick_s: float, run_hash: int) -> None:
         """Raises ConfigError or one of its kind where the settings cannot be flown with."""
         self.vehicle = vehicle = Vehicle(config.model)
+        self.run_hash = run_hash
         self._tick_s = tick_s
         control_s = tick_s * config.executive.control_divider
-        self.inputs = Inputs(config.modes, vehicle, tick_s)
+        self.inputs = Inputs(config.modes, vehicle, tick_s, run_hash)
         self.outputs = Outputs(run_hash, max(1, round(HEARTBEAT_S / tick_s)))
         self.modes = ModeManager(config.modes, tick_s)
         self.executive = ExecutiveCounters()

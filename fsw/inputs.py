@@ -50,7 +50,9 @@ class InputCounters:
 class Inputs:
     """State of what has been received: last good values and when."""
 
-    def __init__(self, modes: ModesConfig, vehicle: Vehicle, tick_s: float) -> None:
+    def __init__(self, modes: ModesConfig, vehicle: Vehicle, tick_s: float, run_hash: int) -> None:
+        self._run_hash = run_hash
+        self._run_hash = run_hash
         self._tick_s = tick_s
         self._hold_ticks = modes.stale_after_ticks
         self._star_hold_s = modes.star_stale_after_s
@@ -77,7 +79,6 @@ class Inputs:
         self.sensors = Sensors()
         self.plant_tick = -1
         self.plant_state = 0
-        self.run_hash = 0
         self._tick = 0
         self._all_tick = NEVER  # on which every gyro axis and wheel spoke
         self._rate_tick = [NEVER, NEVER, NEVER]  # on which each spoke by itself
@@ -128,7 +129,7 @@ class Inputs:
         t1, t2, t3, t4 = self._top_speed_rad_s
         if not (-t1 <= s1 <= t1 and -t2 <= s2 <= t2 and -t3 <= s3 <= t3 and -t4 <= s4 <= t4):
             return False
-        self._group.accept()
+        self._group.accept(usual, tick)
         self.plant_tick = plant_tick
         self._all_tick = tick
         self.sensors.omega_meas_b_rad_s = (x, y, z)
@@ -163,7 +164,7 @@ class Inputs:
             if slot is None:
                 self.counters.foreign += 1
                 continue
-            values = slot[0](data if length == 8 else data[:length])
+            values = slot[0](data if length == 8 else data[:length], self._tick)
             if values is None:
                 self.counters.refused += 1
             else:
@@ -178,12 +179,10 @@ class Inputs:
         pass  # calendar time is for the ground; nothing in the cycle depends on it
 
     def _on_heartbeat(self, values: Values) -> None:
-        run_hash = int(values[3])
-        if self.run_hash not in (0, run_hash):  # of another bench on this bus
+        if values[3] != self._run_hash:  # of another bench on this bus
             self.counters.foreign += 1
             return
         self.plant_state = int(values[2])
-        self.run_hash = run_hash
 
     def _make_fog(self, axis: int) -> Handler:
         def on_fog(values: Values) -> None:

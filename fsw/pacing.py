@@ -82,7 +82,7 @@ class LockStep:
                 self._stopped = False
                 return pending[:end]
         self._pending = pending
-        if plant_stopped(pending, self._node.flight.inputs.run_hash):
+        if plant_stopped(pending, self._node.flight.run_hash):
             self._stopped = True
         return None
 
@@ -138,7 +138,7 @@ class RealTime:
             self._watchdog.feed()
             arrived = transport.recv(0.0)
             batch += arrived
-            if plant_stopped(arrived, self._node.flight.inputs.run_hash):
+            if plant_stopped(arrived, self._node.flight.run_hash):
                 if tick + END_SLACK_TICKS >= self._ticks:
                     return
                 stopped_ns = clock.now_ns()

@@ -17,6 +17,7 @@ from bus.icd.codec import (
     COMMANDS_SIZE,
     DECODERS,
     decode_commands,
+    decode_CYCLE_DONE,
     encode_fogs,
     encode_HEARTBEAT_PLANT,
     encode_rw_tlms,
@@ -25,7 +26,7 @@ from bus.icd.codec import (
     encode_SYNC,
     encode_TIME,
 )
-from bus.icd.e2e import Link, LinkGroup, part_group
+from bus.icd.e2e import JUMP, REPEATED, Link, LinkGroup, part_group
 from bus.wire.frames import FRAME, FRAME_SIZE
 from plant_server.plant import FaultEvent, Plant, Snapshot
 from plant_server.star_tracker import StarFrame
@@ -52,6 +53,7 @@ class ServerCounters:
     foreign: int = 0  # not for the plant
     too_old: int = 0  # a command whose SYNC_CNT is older than allowed
     timeouts: int = 0  # wheel-ticks without a fresh enough command
+    stray: int = 0  # CYCLE_DONE of another tick than the present one; in real time the sides count ticks apart
 
 
 class PlantServer:
@@ -62,7 +64,7 @@ class PlantServer:
         self.tick = 0
         self.fsw_state = -1
         self.fsw_run_hash = -1
-        self.done_tick = -1  # tick of the last CYCLE_DONE
+        self.done_tick = -1  # last tick of which CYCLE_DONE came while it was the present one
         self.events: tuple[FaultEvent, ...] = ()  # faults that took effect or ended since the last samples
         self.snapshot: Snapshot = plant.snapshot()  # of the truth, at the time of the samples
         self._run_hash = run_hash
@@ -145,14 +147,14 @@ class PlantServer:
         tick = self.tick
         if (tick - sync_cnt) & 0xFF > self._max_age_ticks or not sync_cnt == sync_b == sync_c == sync_d:
             return self._accept_each(batch)
-        self._group.accept()
+        self._group.accept(usual, tick)
         self.counters.accepted += GROUP_SIZE
         self._torques_nm = (a, b, c, d)
         self._torques_tick = tick
-        self.done_tick = done_tick
+        self._end_cycle(done_tick)
         if between:
             self._take(between)
-        return done_tick == tick
+        return self.done_tick == tick
 
     def _accept_each(self, batch: bytes) -> bool:
         self._group.part()
@@ -167,17 +169,31 @@ class PlantServer:
             if link is None:
                 counters.foreign += 1
                 continue
-            values = link.accept(data if length == 8 else data[:length])
+            values = link.accept(data if length == 8 else data[:length], self.tick)
             if values is None:
                 counters.refused += 1
+                if can_id == CYCLE_DONE_ID and link.outcome in (REPEATED, JUMP):
+                    self._end_cycle_again(data)
                 continue
             counters.accepted += 1
             if can_id == CYCLE_DONE_ID:
-                self.done_tick = values[2]
+                self._end_cycle(values[2])
             elif can_id == HEARTBEAT_FSW_ID:
                 self.fsw_state, self.fsw_run_hash = values[2], values[3]
             else:
                 self._take_command(COMMAND_IDS[can_id], values)
+
+    def _end_cycle(self, tick: int) -> None:
+        if tick == self.tick:
+            self.done_tick = tick
+        else:
+            self.counters.stray += 1
+
+    def _end_cycle_again(self, data: bytes) -> None:
+        """End the cycle with a frame that a stray one has put out of sequence: the tick in it is counter enough."""
+        values = decode_CYCLE_DONE(data)
+        if values is not None and values[2] == self.tick:
+            self.done_tick = self.tick
 
     def _take_command(self, wheel: int, values: tuple[int | float, ...]) -> None:
         _, mode, torque_nm, sync_cnt = values

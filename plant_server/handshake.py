@@ -1,36 +1,46 @@
-"""Meeting the flight software: no tick is counted before it has said that it is ready, for this very run."""
+"""Meeting the flight software: no tick is counted before it has said that it is ready, for this very run.
+
+Flight software of another run on the same bus is not answered; it is named as the trouble only when no fitting one came.
+"""
 
 from __future__ import annotations
 
 import time
 
 from bus.errors import PeerLostError, UsageError
+from bus.icd.codec import encode_HEARTBEAT_PLANT
+from bus.icd.heartbeat import OPERATIONAL, PRE_OPERATIONAL, find_heartbeats
 from bus.wire.transport import Transport
-from plant_server.channel import STATE_OPERATIONAL, STATE_PRE_OPERATIONAL, PlantServer
+from plant_server.channel import HEARTBEAT_FSW_ID, PlantServer
+
+MEETING_COUNTER = 14  # ahead of the run's first: an answer that is read late does not disturb its sequence
 
 
-def meet_fsw(transport: Transport, server: PlantServer, run_hash: int, patience_s: float) -> None:
-    """Return once the flight software has been heard, answered, and has confirmed.
+def meet_fsw(transport: Transport, server: PlantServer, run_hash: int, patience_s: float) -> int:
+    """Return once the flight software has been heard, answered, and has confirmed: foreign heartbeats ignored.
 
-    Raises PeerLostError when it does not come within patience_s, UsageError when it runs another scenario.
+    Raises PeerLostError when it does not come within patience_s, UsageError when only flight software of other
+    scenarios did.
     """
     until = time.monotonic() + patience_s
+    answer = encode_HEARTBEAT_PLANT(MEETING_COUNTER, 0, PRE_OPERATIONAL, run_hash)
     answered = False
+    foreign = []
     while (left_s := until - time.monotonic()) > 0:
-        server.accept(transport.recv(left_s))
-        if server.fsw_state < 0:
-            continue
-        if server.fsw_run_hash != run_hash:
-            raise UsageError(
-                f"the flight software on {transport.address} runs another scenario (run hash "
-                f"{server.fsw_run_hash:#010x}, ours is {run_hash:#010x}); start both sides from the same file and seed"
-            )
-        if answered and server.fsw_state == STATE_OPERATIONAL:
+        heard = list(find_heartbeats(transport.recv(left_s), HEARTBEAT_FSW_ID))
+        foreign += [its for _, its in heard if its != run_hash]
+        states = [state for state, its in heard if its == run_hash]
+        if answered and OPERATIONAL in states:
             server.begin()
-            return
-        transport.send(server.heartbeat(STATE_PRE_OPERATIONAL))
-        answered = True
-        server.fsw_state = -1
+            return len(foreign)
+        if states:
+            transport.send(answer)
+            answered = True
+    if foreign and not answered:
+        raise UsageError(
+            f"the flight software on {transport.address} runs another scenario (run hash {foreign[-1]:#010x}, ours is "
+            f"{run_hash:#010x}), and no other came within {patience_s:g} s; start both sides from the same file and seed"
+        )
     raise PeerLostError(
         f"no flight software answered on {transport.address} within {patience_s:g} s; start `hilsat fsw` with the same "
         "scenario and bus"

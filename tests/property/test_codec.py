@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from bus.icd import codec as icd_codec
 from bus.icd.codec import DECODERS, ENCODERS
-from bus.icd.e2e import LOST, OK, Receiver
+from bus.icd.e2e import LOST, Link
 from bus.icd.messages import IDS, MESSAGES, Message, Signal, dbc_path
 
 DATABASE: Any = cantools.database.load_file(dbc_path())
@@ -257,19 +257,15 @@ def test_all_single_and_double_bit_flips_are_detected(name: str, data: st.DataOb
         assert decode((sent ^ error).to_bytes(8, "little")) is None
 
 
-@given(
-    frames=st.lists(
-        st.tuples(st.sampled_from([*ALL_IDS, 0, 0x123, 0x7FF]), st.binary(max_size=8), st.booleans()), max_size=40
-    )
-)
-def test_receiver_counts_every_frame_once(frames: list[tuple[int, bytes, bool]]) -> None:
-    """Random frames, some with a right checksum: none raises, each lands in one count, only good ones give values."""
-    receiver = Receiver(DECODERS)
+@given(frames=st.lists(st.tuples(st.sampled_from(ALL_IDS), st.binary(max_size=8), st.booleans()), max_size=40))
+def test_links_count_every_frame_once(frames: list[tuple[int, bytes, bool]]) -> None:
+    """Random frames, some with a right checksum: none raises, each is taken or in one count, only good ones give values."""
+    links = {frame_id: Link(decode) for frame_id, decode in DECODERS.items()}
     accepted = 0
-    for frame_id, data, sealed in frames:
-        if sealed and len(data) == 8 and frame_id in MESSAGES:
+    for tick, (frame_id, data, sealed) in enumerate(frames):
+        if sealed and len(data) == 8:
             data = seal(frame_id, data[1:])
-        accepted += receiver.accept(frame_id, data) is not None
-    counts = receiver.counts()
-    assert counts[OK] + counts[LOST] == accepted
-    assert sum(counts.values()) - counts["missing"] == len(frames)
+        accepted += links[frame_id].accept(data, tick) is not None
+    assert sum(link.accepted for link in links.values()) == accepted
+    refused = sum(sum(link.faults.values()) - link.faults[LOST] for link in links.values())
+    assert accepted + refused == len(frames)

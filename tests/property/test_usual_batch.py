@@ -18,6 +18,7 @@ from bus.icd.codec import (
     encode_fogs,
     encode_HEARTBEAT_FSW,
     encode_HEARTBEAT_PLANT,
+    encode_RW1_CMD,
     encode_rw_cmds,
     encode_rw_tlms,
     encode_STR_QA,
@@ -25,6 +26,7 @@ from bus.icd.codec import (
     encode_SYNC,
     encode_TIME,
 )
+from bus.icd.e2e import Link, Pace
 from bus.settings import build
 from bus.wire.frames import FRAME
 from fsw.config import FswConfig
@@ -98,7 +100,7 @@ def disturbed(draw: Any, frames: list[bytes]) -> bytes:
     """The batch as it is (mostly), or with frames lost, doubled, swapped, of other tick, or with bits turned over."""
     for _ in range(draw(st.sampled_from([0, 0, 0, 1, 2]))):
         at = draw(st.integers(0, len(frames) - 1)) if frames else 0
-        match draw(st.sampled_from(["lose", "double", "swap", "flip", "insert", "cut"])):
+        match draw(st.sampled_from(["lose", "double", "swap", "flip", "insert", "intrude", "cut"])):
             case "lose":
                 frames = frames[:at] + frames[at + 1 :]
             case "double":
@@ -113,6 +115,14 @@ def disturbed(draw: Any, frames: list[bytes]) -> bytes:
                 other = draw(st.sampled_from(sorted(DECODERS)) | st.integers(0, 0xFFFFFFFF))
                 junk = other.to_bytes(4, "little") + b"\x08\0\0\0" + draw(st.binary(min_size=8, max_size=8))
                 frames = [*frames[:at], junk, *frames[at:]]
+            case "intrude":
+                counter = draw(st.integers(0, 14))
+                frames = [
+                    *frames[:at],
+                    encode_RW1_CMD(counter, 1, 0.5, counter),
+                    encode_SYNC(counter, 0, at),
+                    *frames[at:],
+                ]
             case "cut":
                 frames = frames[:at]
     return b"".join(frames)
@@ -125,7 +135,12 @@ def forget(side: Inputs | PlantServer) -> None:
 
 
 def describe_links(links: dict[int, Any]) -> list[tuple[Any, ...]]:
-    return [(i, k.expected, k.accepted, k.missing, dict(k.faults), k.outcome) for i, k in sorted(links.items())]
+    """All that a link knows, its suspicions included."""
+    parts = [name for name in Link.__slots__ if name not in ("decode", "_pace")]
+    return [
+        (i, *(getattr(link, name) for name in parts), *(getattr(link._pace, name) for name in Pace.__slots__))
+        for i, link in sorted(links.items())
+    ]
 
 
 @settings(max_examples=150, deadline=None)

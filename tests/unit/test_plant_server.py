@@ -133,13 +133,45 @@ def test_bad_frames_are_counted_and_change_nothing() -> None:
     assert applied(server) == pytest.approx((0.05, 0.0, 0.0, 0.0), abs=5e-8)
 
 
-def test_the_end_of_the_cycle_counts_only_for_this_tick() -> None:
-    """CYCLE_DONE of another tick, or a SYNC from elsewhere, does not end the wait."""
+@pytest.mark.parametrize("place", ["before", "between", "after"])
+@pytest.mark.parametrize("ahead", range(15))
+def test_a_stray_end_of_another_cycle_neither_ends_nor_blocks_this_one(ahead: int, place: str) -> None:
+    """CYCLE_DONE of another tick with any counter, before, among or after the rightful frames: tick after tick ends well."""
+    server = make()
+    for _ in range(20):
+        server.announce()
+        good = commands(server)
+        stray = encode_CYCLE_DONE((server.tick + ahead) % 15, 2, server.tick + 7, 0)
+        if place == "before":
+            assert not server.accept(stray)
+        at = {"before": 0, "between": 64, "after": 80}[place]
+        assert server.accept(good if place == "before" else good[:at] + stray + good[at:])
+        server.advance()
+        assert applied(server) == pytest.approx(TORQUES, abs=5e-8)
+    assert server.counters.stray + server.counters.refused >= 20
+
+
+def test_a_stray_sync_does_not_end_the_wait() -> None:
+    """Nor does CYCLE_DONE of another tick as the very first frame; both are counted."""
     server = make()
     server.announce()
     assert not server.accept(encode_CYCLE_DONE(0, 2, 7, 0))
     assert not server.accept(encode_SYNC(0, 0, 0))
     assert server.accept(encode_CYCLE_DONE(1, 2, 0, 0))
+    assert (server.counters.stray, server.counters.foreign) == (1, 1)
+
+
+def test_an_intruder_moves_no_wheel() -> None:
+    """A second client with right checksums and a counter seven ahead, for 600 ticks: not one tick of its torque."""
+    server = make()
+    for _ in range(600):
+        server.announce()
+        ahead = (server.tick + 7) % 15
+        intruding = encode_rw_cmds(ahead, (1, 1, 1, 1), (0.1, 0.1, 0.1, 0.1), server.tick & 0xFF)
+        assert server.accept(commands(server) + intruding)
+        server.advance()
+        assert applied(server) == pytest.approx(TORQUES, abs=5e-8)
+    assert server._links[0x110].rivals > 580
 
 
 def test_the_peer_is_known_by_its_heartbeat() -> None:

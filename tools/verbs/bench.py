@@ -134,7 +134,7 @@ def _measure_codec(seconds: float) -> dict[str, Any]:
     link = Link(DECODERS[0x190])
     return {
         "encode, us": _time(lambda k: encode_RW1_TLM(k % 15, 0, 12.345 + k, 100, k & 0xFF), 1500),
-        "check and decode, us": _time(lambda k: link.accept(frames[k]), 1500),
+        "check and decode, us": _time(lambda k: link.accept(frames[k], k), 1500),
     }
 
 
