@@ -2,35 +2,36 @@
 
 from __future__ import annotations
 
-import time
-
+from bus.clock import MonotonicClock
 from bus.errors import PeerLostError, UsageError
 from bus.wire.transport import Transport
-from plant_server.channel import STATE_OPERATIONAL, STATE_PRE_OPERATIONAL, PlantServer
+from plant_server.channel import STATE_OPERATIONAL, STATE_PRE_OPERATIONAL, Channel
 
 
-def meet_fsw(transport: Transport, server: PlantServer, run_hash: int, patience_s: float) -> None:
+def meet_fsw(
+    transport: Transport, channel: Channel, run_hash: int, patience_s: float, clock: MonotonicClock
+) -> None:
     """Return once the flight software has been heard, answered, and has confirmed.
 
     Raises PeerLostError when it does not come within patience_s, UsageError when it runs another scenario.
     """
-    until = time.monotonic() + patience_s
+    until_ns = clock.now_ns() + round(patience_s * 1e9)
     answered = False
-    while (left_s := until - time.monotonic()) > 0:
-        server.accept(transport.recv(left_s))
-        if server.fsw_state < 0:
+    while (left_ns := until_ns - clock.now_ns()) > 0:
+        channel.accept(transport.recv(left_ns * 1e-9))
+        if channel.fsw_state < 0:
             continue
-        if server.fsw_run_hash != run_hash:
+        if channel.fsw_run_hash != run_hash:
             raise UsageError(
                 f"the flight software on {transport.address} runs another scenario (run hash "
-                f"{server.fsw_run_hash:#010x}, ours is {run_hash:#010x}); start both sides from the same file and seed"
+                f"{channel.fsw_run_hash:#010x}, ours is {run_hash:#010x}); start both sides from the same file and seed"
             )
-        if answered and server.fsw_state == STATE_OPERATIONAL:
-            server.begin()
+        if answered and channel.fsw_state == STATE_OPERATIONAL:
+            channel.begin()
             return
-        transport.send(server.heartbeat(STATE_PRE_OPERATIONAL))
+        transport.send(channel.heartbeat(STATE_PRE_OPERATIONAL))
         answered = True
-        server.fsw_state = -1
+        channel.fsw_state = -1
     raise PeerLostError(
         f"no flight software answered on {transport.address} within {patience_s:g} s; start `hilsat fsw` with the same "
         "scenario and bus"

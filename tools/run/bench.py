@@ -15,9 +15,9 @@ from bus.telemetry.link import Link, TelemetryLink
 from fsw.flight import Flight
 from fsw.flight_log import FlightLog
 from fsw.telemetry import SOURCE as FSW_SOURCE
-from plant_server.channel import PlantServer
+from plant_server.node import PlantNode
+from plant_server.pacing import Accept
 from plant_server.plant import Plant
-from plant_server.plant_log import PlantLog
 from plant_server.truth import SOURCE as PLANT_SOURCE
 from tools.config.scenario import Resolved
 from tools.log.recorder import Recorder
@@ -33,25 +33,26 @@ class Bench:
         scenario = resolved.scenario
         self._tick_ns = 1_000_000_000 // scenario.clock.tick_hz
         tick_s = self._tick_ns * 1e-9
-        plant = Plant(scenario.plant, scenario.faults, tick_s, scenario.seed, scenario.fsw.target_q)
-        self.server = PlantServer(plant, tick_s, resolved.run_hash)
+        plant = Plant(scenario.plant, scenario.faults, tick_s, scenario.seed)
+        link = plant_link or TelemetryLink(None, PLANT_SOURCE, False)
+        self.node = PlantNode(plant, link, self._tick_ns, resolved.run_hash)
         self.flight = Flight(scenario.fsw, tick_s, resolved.run_hash)
-        self._plant_log = PlantLog(self.server, plant_link or TelemetryLink(None, PLANT_SOURCE, False), self._tick_ns)
         self._flight_log = FlightLog(self.flight, fsw_link or TelemetryLink(None, FSW_SOURCE, False), self._tick_ns)
 
     def run(self, ticks: int, on_progress: Callable[[int], None] | None = None) -> None:
         """Run that many ticks from where the bench stands."""
-        server, flight = self.server, self.flight
-        log, flight_log = self._plant_log, self._flight_log
+        node, flight, flight_log = self.node, self.flight, self._flight_log
         counters = flight.executive
-        for tick in range(server.tick, server.tick + ticks):
-            frames = server.announce()
+
+        def exchange(frames: bytes, accept: Accept) -> bytes:
             answer = flight.cycle(tick, frames)
-            server.accept(answer)
-            log.write(frames + answer)
+            accept(answer)
+            return answer
+
+        for tick in range(node.tick_number, node.tick_number + ticks):
+            node.tick(exchange)
             counters.cycles += 1
             flight_log.write(tick)
-            server.advance()
             if on_progress is not None and not tick % 100:
                 on_progress(tick)
 
