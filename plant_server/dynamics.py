@@ -44,7 +44,13 @@ class RigidBody:
     __slots__ = ("_dt_s", "_gyroscopic", "_momentum", "_rates", "_step", "omega_bi_b_rad_s", "q_ib", "turn_b_rad")
 
     def __init__(
-        self, inertia_kgm2: Mat3, q_ib: Vec4, omega_bi_b_rad_s: Vec3, h_b_nms: Vec3, dt_s: float, gyroscopic: bool = True
+        self,
+        inertia_kgm2: Mat3,
+        q_ib: Vec4,
+        omega_bi_b_rad_s: Vec3,
+        h_b_nms: Vec3,
+        dt_s: float,
+        gyroscopic: bool = True,
     ) -> None:
         """h_b_nms: momentum of the wheels at the start. Raises ValueError when the inertia is singular."""
         self.q_ib = normalise(q_ib)

@@ -8,9 +8,7 @@ from bus.wire.transport import Transport
 from plant_server.channel import STATE_OPERATIONAL, STATE_PRE_OPERATIONAL, Channel
 
 
-def meet_fsw(
-    transport: Transport, channel: Channel, run_hash: int, patience_s: float, clock: MonotonicClock
-) -> None:
+def meet_fsw(transport: Transport, channel: Channel, run_hash: int, patience_s: float, clock: MonotonicClock) -> None:
     """Return once the flight software has been heard, answered, and has confirmed.
 
     Raises PeerLostError when it does not come within patience_s, UsageError when it runs another scenario.

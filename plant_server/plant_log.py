@@ -100,9 +100,7 @@ class PlantLog:
             t_ns, event.tick, fault.unit, fault.kind, event.phase, event.value, fault.describe(),
             id=event.id, number=event.number, definition=fault.definition,
         )  # fmt: skip
-        self.link.event(
-            t_ns, LEVELS[event.phase], "plant", f"fault {event.phase}: {event.id}: {fault.describe()}"
-        )
+        self.link.event(t_ns, LEVELS[event.phase], "plant", f"fault {event.phase}: {event.id}: {fault.describe()}")
 
     def note_command(self, command: Command, tick: int, done: str) -> None:
         """Log a command that was applied before the work of this tick."""
@@ -115,7 +113,15 @@ class PlantLog:
         t_ns = tick * self._tick_ns
         asked = {key: str(command.arguments.get(key, "")) for key in ("unit", "kind", "id")}
         self.link.fault(
-            t_ns, tick, asked["unit"], asked["kind"], "refused", 0.0, reason, id=asked["id"], definition=command.to_json()
+            t_ns,
+            tick,
+            asked["unit"],
+            asked["kind"],
+            "refused",
+            0.0,
+            reason,
+            id=asked["id"],
+            definition=command.to_json(),
         )
         self.link.event(
             t_ns, "warning", "plant", f"{command.verb} by {command.origin} at tick {tick} refused: {reason}"

@@ -12,7 +12,9 @@ FIRST_CHANNEL = 2
 SOURCE = 1  # which stream of the recorder this process writes
 
 INTERVAL = "mean over the tick that ended now"
-NO_TARGET = "angle between the attitude and the target of that tick, filled in from the flight software's log; NaN: none known"
+NO_TARGET = (
+    "angle between the attitude and the target of that tick, filled in from the flight software's log; NaN: none known"
+)
 
 # group -> (name, count, unit, meaning), in the order of the numbers of `Plant.flatten`
 TRUTH_FIELDS: dict[str, tuple[tuple[str, int, str, str], ...]] = {

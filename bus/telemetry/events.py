@@ -59,11 +59,17 @@ FAULTS: Final = JsonTopic(
     "hilsat.Fault",
     {
         "timestamp": _TIME,
-        "id": {"type": "string", "description": "which fault: its own id, faults[0] the first of the scenario, command[0]"},
+        "id": {
+            "type": "string",
+            "description": "which fault: its own id, faults[0] the first of the scenario, command[0]",
+        },
         "number": {"type": "integer", "description": "in the order of the scenario, then of commands; -1: none"},
         "unit": {"type": "string", "description": "the unit it bites, for example wheel.1"},
         "fault": {"type": "string", "description": "kind of fault"},
-        "phase": {"type": "string", "description": "onset, effect (first changed its unit's output), end, cleared, refused"},
+        "phase": {
+            "type": "string",
+            "description": "onset, effect (first changed its unit's output), end, cleared, refused",
+        },
         "tick": {"type": "integer", "description": "tick at which that happened"},
         "value": {"type": "number", "description": "first magnitude of the fault, in the unit of its kind"},
         "definition": {"type": "string", "description": "the whole fault as JSON, keys as in a scenario file"},

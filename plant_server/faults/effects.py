@@ -75,7 +75,9 @@ class Effect:
     kind: ClassVar[str]  # as the name of the kind in scenarios
     rises: ClassVar[bool] = True  # whether another profile than a step means anything
     draws: ClassVar[int] = 0  # random numbers a sample, from a stream of the fault's own
-    steady: ClassVar[bool] = True  # changes only as its level does (a wheel's faults are looked at only when they change)
+    steady: ClassVar[bool] = (
+        True  # changes only as its level does (a wheel's faults are looked at only when they change)
+    )
     early: ClassVar[bool] = False  # acts ahead of all others of its unit, whenever its onset is
 
     def explain_futile(self, plant: PlantConfig | None) -> str | None:

@@ -52,7 +52,9 @@ class Fault:
         """Return the fault that a flat mapping describes, INVALID when there is none; problems and parts go to `out`."""
         known, kind = find_keys(data)
         if isinstance(data, dict):
-            data = {key: item for key, item in data.items() if key in known or not _is_foreign(key, item, kind, at, out)}
+            data = {
+                key: item for key, item in data.items() if key in known or not _is_foreign(key, item, kind, at, out)
+            }
         values = read_keys(known, data, at, out)
         if kind is None or INVALID in values.values():
             return INVALID
@@ -60,7 +62,7 @@ class Fault:
         return cls(
             **{key: values[key] for key in ("unit", "at_s", "until_s", "id")},
             profile=profile(**{key: values[key] for key in fields_of(profile)}),
-            effect=effect(**{key: values[key] for key in fields_of(effect)}),
+            effect=effect(**{key: values[key] for key in magnitudes_of(effect)}),
         )
 
     def plain_settings(self) -> dict[str, Any]:
@@ -79,7 +81,7 @@ class Fault:
     def magnitudes(self) -> dict[str, float]:
         """What its kind takes of numbers, in their order; those left out are not there."""
         effect = self.effect
-        given = {name: getattr(effect, name) for name in fields_of(type(effect))}
+        given = {name: getattr(effect, name) for name in magnitudes_of(type(effect))}
         return {name: value for name, value in given.items() if isinstance(value, float | int)}
 
     def describe(self) -> str:
@@ -100,6 +102,7 @@ class Fault:
 
 
 LONGEST_ID = 80
+PROFILE_NAME: Any = Literal[tuple(PROFILES)] | None
 
 
 def explain_times(at_s: float, until_s: float | None) -> str | None:
@@ -126,13 +129,18 @@ def find_keys(data: object) -> tuple[Keys, type[Effect] | None]:
     keys["kind"] = (Literal[names], NOTHING)
     if len(families) == 1 and isinstance(kind, str) and kind in names:
         effect = KINDS[families[0]][kind]
-        return {**keys, **list_kind_keys(effect), **_profile_keys(given, effect)}, effect
-    every = {key: (item, None) for family in families for cls in KINDS[family].values() for key, (item, _) in list_kind_keys(cls).items()}
+        return {**keys, **magnitudes_of(effect), **_profile_keys(given, effect)}, effect
+    every = {
+        key: (item, None)
+        for family in families
+        for cls in KINDS[family].values()
+        for key, (item, _) in magnitudes_of(cls).items()
+    }
     every |= {key: (item, None) for cls in PROFILES.values() for key, (item, _) in fields_of(cls).items()}
-    return {**keys, "profile": (Literal[tuple(PROFILES)], None), **every}, None
+    return {**keys, "profile": (PROFILE_NAME, None), **every}, None
 
 
-def list_kind_keys(effect: type[Effect]) -> Keys:
+def magnitudes_of(effect: type) -> Keys:
     """Return the magnitudes of a kind: types and defaults by key."""
     return fields_of(effect)
 
@@ -140,7 +148,7 @@ def list_kind_keys(effect: type[Effect]) -> Keys:
 def _profile_keys(given: dict[Any, Any], effect: type[Effect]) -> Keys:
     if not effect.rises:
         return {}
-    return {"profile": (Literal[tuple(PROFILES)], None), **fields_of(_find_profile(given))}
+    return {"profile": (PROFILE_NAME, None), **fields_of(_find_profile(given))}
 
 
 def _find_profile(data: object) -> Any:
@@ -149,7 +157,10 @@ def _find_profile(data: object) -> Any:
     name = given.get("profile")
     if isinstance(name, str) and name in PROFILES:
         return PROFILES[name]
-    return next((cls for cls in PROFILES.values() if any(given.get(key) is not None for key in fields_of(cls))), PROFILES["step"])
+    return next(
+        (cls for cls in PROFILES.values() if any(given.get(key) is not None for key in fields_of(cls))),
+        PROFILES["step"],
+    )
 
 
 def _every_key() -> set[str]:
@@ -162,7 +173,7 @@ def _is_foreign(key: object, value: object, kind: type[Effect] | None, at: KeyPa
     if kind is None or not isinstance(key, str) or key not in _every_key():
         return False
     if value is not None:
-        own = [*fields_of(kind), *(("profile", "rise_s") if kind.rises else ())]
+        own = [*magnitudes_of(kind), *(("profile", "rise_s") if kind.rises else ())]
         name = f"{kind.family} fault {kind.kind}"
         out.add((*at, key), f"{name} has no use for {key}; it takes {', '.join(own) or 'no magnitude'}", at_key=True)
     return True

@@ -122,7 +122,13 @@ class FaultTimeline:
     """
 
     def __init__(
-        self, faults: tuple[Fault, ...], *, step_s: float, steps_per_tick: int, seed: int, plant: PlantConfig | None = None
+        self,
+        faults: tuple[Fault, ...],
+        *,
+        step_s: float,
+        steps_per_tick: int,
+        seed: int,
+        plant: PlantConfig | None = None,
     ) -> None:
         problems = check_faults(faults, plant)
         if problems:
@@ -134,7 +140,9 @@ class FaultTimeline:
         self._seed = seed
         self._all: list[Occurrence] = []
         self._commanded = 0
-        self._waiting: list[tuple[int, str, Occurrence]] = []  # step, phase: events that are still to come, soonest first
+        self._waiting: list[
+            tuple[int, str, Occurrence]
+        ] = []  # step, phase: events that are still to come, soonest first
         self.next_event = NEVER  # step of the next one
         for name, fault in zip(fault_ids(faults), faults, strict=True):
             self._enter(fault, name, 0)

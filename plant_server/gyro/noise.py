@@ -15,7 +15,9 @@ from plant_server.noise import open_stream
 BLOCK = 512  # samples of noise made at a time
 SIGMA_PER_INSTABILITY = 0.664 / 0.617  # Gauss-Markov sigma over bias instability B
 Floats = NDArray[np.float64]
-DrawErrors = Callable[[], tuple[float, float, float]]  # error, which is bias and white noise together; bias; white [rad/s]
+DrawErrors = Callable[
+    [], tuple[float, float, float]
+]  # error, which is bias and white noise together; bias; white [rad/s]
 
 
 def open_errors(terms: GyroPreset, turn_on_rad_s: float, dt_s: float, seed: int, unit: str) -> DrawErrors:

@@ -22,9 +22,9 @@ class IdealBank:
     """A `WheelBank` of wheels whose torque is what they are told, within limits, lag, drag and faults."""
 
     __slots__ = (
-        "_axes", "_commanded", "_h_rw_nms", "_inverse_inertia", "_next_look", "_nominal_axes", "_step_s", "_tacho",
-        "_wheels", "axes_b", "command_b_nm", "command_nm", "current_a", "h_b_nms", "silent", "speed_rad_s", "status",
-        "torque_b_nm", "torque_nm",
+        "_axes", "_commanded", "_h_rw_nms", "_inverse_inertia", "_is_steady", "_max_speed", "_next_look", "_nominal_axes",
+        "_speed_per_nm", "_step_s", "_tacho", "_wheels", "axes_b", "command_b_nm", "command_nm", "h_b_nms", "silent",
+        "speed_rad_s", "torque_b_nm", "torque_nm",
     )  # fmt: skip
 
     def __init__(
@@ -39,6 +39,8 @@ class IdealBank:
         self._axes = tuple(component for axis in self.axes_b for component in axis)
         self._nominal_axes = tuple(component for w in config.wheels for component in nominal_axis(w.mount))
         self._inverse_inertia: Vec4 = (1.0 / a.inertia, 1.0 / b.inertia, 1.0 / c.inertia, 1.0 / d.inertia)
+        self._speed_per_nm: Vec4 = (a.speed_per_nm, b.speed_per_nm, c.speed_per_nm, d.speed_per_nm)
+        self._max_speed: Vec4 = (a.max_speed_rad_s, b.max_speed_rad_s, c.max_speed_rad_s, d.max_speed_rad_s)
         units = zip(WHEELS, config.wheels, strict=True)
         noisy = any(wheel.speed_noise_rad_s > 0.0 for wheel in config.wheels)
         self._tacho = [(wheel.speed_noise_rad_s, open_normals(seed, unit)) for unit, wheel in units] if noisy else []
@@ -50,10 +52,9 @@ class IdealBank:
         self.command_b_nm = _combine(self._nominal_axes, ZERO4)
         self._commanded: Flags4 = (False, False, False, False)  # which have a command: nothing has come yet
         self.silent: Flags4 = (False, False, False, False)
-        self.current_a: Vec4 = ZERO4  # of the motors over the last step: their torque over the motor constant
-        self.status: Status4 = self._find_status()
         self.torque_nm: Vec4 = ZERO4
         self.torque_b_nm: Vec3 = ZERO3
+        self._is_steady = False  # only a speed limit can make the next step's torque another than the last one's
         self._next_look = -1  # step on which the faults must be looked at
 
     def _find_momenta(self, omega_bi_b_rad_s: Vec3) -> Vec4:
@@ -78,13 +79,18 @@ class IdealBank:
         """Take the torque commands of this tick [N m]; None: the wheel has none, so its motor gives no torque."""
         a, b, c, d = commands_nm
         self._commanded = (a is not None, b is not None, c is not None, d is not None)
-        self.command_nm = command = (a or 0.0, b or 0.0, c or 0.0, d or 0.0)
-        self.command_b_nm = _combine(self._nominal_axes, command)
+        command = (a or 0.0, b or 0.0, c or 0.0, d or 0.0)
+        if command != self.command_nm:
+            self.command_nm = command
+            self.command_b_nm = _combine(self._nominal_axes, command)
+            self._is_steady = False
 
     def drive(self, step: int) -> None:
         """Set `torque_nm` and `torque_b_nm`, the torques on the body over the integration step `step`."""
         if step >= self._next_look:
             self._look(step)
+        if self._is_steady and self._keeps_limits():
+            return
         s1, s2, s3, s4 = self.speed_rad_s
         c1, c2, c3, c4 = self.command_nm
         a, b, c, d = self._wheels
@@ -92,13 +98,20 @@ class IdealBank:
             a.drive(step, c1, s1), b.drive(step, c2, s2), c.drive(step, c3, s3), d.drive(step, c4, s4)
         )  # fmt: skip
         self.torque_b_nm = _combine(self._axes, torque)
-        self.current_a = (
-            a.motor_nm * a.ampere_per_nm,
-            b.motor_nm * b.ampere_per_nm,
-            c.motor_nm * c.ampere_per_nm,
-            d.motor_nm * d.ampere_per_nm,
+        self._is_steady = a.is_steady and b.is_steady and c.is_steady and d.is_steady
+
+    def _keeps_limits(self) -> bool:
+        """Return whether another step with the same torque leaves every rotor within its speed limit."""
+        s1, s2, s3, s4 = self.speed_rad_s
+        t1, t2, t3, t4 = self.torque_nm
+        k1, k2, k3, k4 = self._speed_per_nm
+        m1, m2, m3, m4 = self._max_speed
+        return (
+            -m1 <= s1 - t1 * k1 <= m1
+            and -m2 <= s2 - t2 * k2 <= m2
+            and -m3 <= s3 - t3 * k3 <= m3
+            and -m4 <= s4 - t4 * k4 <= m4
         )
-        self.status = self._find_status()
 
     def advance(self, omega_bi_b_rad_s: Vec3, h_b_nms: Vec3) -> None:
         """Move the rotors to the end of the step: body rate there, and the sum of their momentum [N m s], body axes."""
@@ -133,6 +146,7 @@ class IdealBank:
         a, b, c, d = self._wheels
         self._next_look = min(a.look(step, t_s), b.look(step, t_s), c.look(step, t_s), d.look(step, t_s))
         self.silent = (a.silent, b.silent, c.silent, d.silent)
+        self._is_steady = False
 
     # -- telemetry -----------------------------------------------------------------------------------------------------
 
@@ -145,10 +159,25 @@ class IdealBank:
                 wheel.note_silence(step)
         if not self._tacho:
             return self.speed_rad_s
-        a, b, c, d = (speed + sigma * draw() for speed, (sigma, draw) in zip(self.speed_rad_s, self._tacho, strict=True))
+        a, b, c, d = (
+            speed + sigma * draw() for speed, (sigma, draw) in zip(self.speed_rad_s, self._tacho, strict=True)
+        )
         return (a, b, c, d)
 
-    def _find_status(self) -> Status4:
+    @property
+    def current_a(self) -> Vec4:
+        """Of the motors over the last step: their torque over the motor constant [A]."""
+        a, b, c, d = self._wheels
+        return (
+            a.motor_nm * a.ampere_per_nm,
+            b.motor_nm * b.ampere_per_nm,
+            c.motor_nm * c.ampere_per_nm,
+            d.motor_nm * d.ampere_per_nm,
+        )
+
+    @property
+    def status(self) -> Status4:
+        """STATUS of each wheel's frame."""
         a, b, c, d = self._wheels
         if self._commanded == ALL and not (a.limited or b.limited or c.limited or d.limited):
             return ALL_OK
@@ -160,7 +189,7 @@ class IdealBank:
 
 
 def _combine(axes: tuple[float, ...], per_wheel: Vec4) -> Vec3:
-    """Return the body vector of a quantity about each wheel's axis, in its unit; axes one after the other, 3 numbers each."""
+    """Return the body vector of a quantity about each wheel's axis, in its unit; axes: 3 numbers for each wheel."""
     a, b, c, d = per_wheel
     ax, ay, az, bx, by, bz, cx, cy, cz, dx, dy, dz = axes
     return (

@@ -23,8 +23,9 @@ class IdealWheel:
     """Motor, faults and drag of one wheel. Torques are those on the body, about the wheel's axis [N m]."""
 
     __slots__ = (
-        "_chain", "_coulomb", "_dt_per_inertia", "_has_drag", "_lag_end", "_lag_mean", "_max_speed", "_max_torque",
-        "_pending", "_state", "_timeline", "_unfaulted_nm", "_viscous", "ampere_per_nm", "inertia", "limited", "motor_nm",
+        "_chain", "_coulomb", "_has_drag", "_has_lag", "_lag_end", "_lag_mean", "_max_torque", "_pending", "_state",
+        "_timeline", "_unfaulted_nm", "_viscous", "ampere_per_nm", "inertia", "limited", "max_speed_rad_s", "motor_nm",
+        "speed_per_nm",
     )  # fmt: skip
 
     def __init__(self, unit: str, config: WheelConfig, timeline: FaultTimeline, step_s: float) -> None:
@@ -33,12 +34,15 @@ class IdealWheel:
         self.inertia = config.inertia_kgm2
         self.ampere_per_nm = 1.0 / config.motor_constant_nm_a
         self._max_torque = config.max_torque_nm
-        self._max_speed = config.max_speed_rad_s
+        self.max_speed_rad_s = config.max_speed_rad_s
         self._viscous = config.viscous_nm_s
         self._coulomb = config.coulomb_nm
         self._has_drag = config.viscous_nm_s != 0.0 or config.coulomb_nm != 0.0
-        self._dt_per_inertia = step_s / config.inertia_kgm2
+        self.speed_per_nm = (
+            step_s / config.inertia_kgm2
+        )  # how much of it a torque on the body costs the rotor in a step
         lag = config.torque_lag_s
+        self._has_lag = lag > 0.0
         # first-order lag over one step: torque at its end, and its mean, as fractions of the way to the command
         self._lag_end = 1.0 - math.exp(-step_s / lag) if lag > 0.0 else 1.0
         self._lag_mean = 1.0 - self._lag_end * lag / step_s if lag > 0.0 else 1.0
@@ -52,6 +56,11 @@ class IdealWheel:
     def silent(self) -> bool:
         """Whether it sends no telemetry."""
         return self._state.silent
+
+    @property
+    def is_steady(self) -> bool:
+        """Whether its torque stays what it is but for a speed limit, while command and faults do."""
+        return not (self._has_lag or self._has_drag or self.limited)
 
     def look(self, step: int, t_s: float) -> int:
         """Bring the faults up to date for the step at t_s; return the step of the next look that is due."""
@@ -79,9 +88,9 @@ class IdealWheel:
         beyond its limit is zero), then drag.
         """
         limit = self._max_torque
-        start = self._unfaulted_nm
         motor = limit if command_nm > limit else -limit if command_nm < -limit else command_nm
-        if self._lag_mean != 1.0:
+        if self._has_lag:
+            start = self._unfaulted_nm
             self._unfaulted_nm = start + (motor - start) * self._lag_end
             motor = start + (motor - start) * self._lag_mean
         state = self._state
@@ -95,8 +104,8 @@ class IdealWheel:
 
     def _limit(self, motor_nm: float, speed_rad_s: float) -> float:
         """Return the torque, zero where it would take the rotor further beyond its limit [N m]."""
-        limit = self._max_speed
-        speed_after = speed_rad_s - motor_nm * self._dt_per_inertia
+        limit = self.max_speed_rad_s
+        speed_after = speed_rad_s - motor_nm * self.speed_per_nm
         if (speed_after > limit and motor_nm < 0.0) or (speed_after < -limit and motor_nm > 0.0):
             return 0.0
         return motor_nm
@@ -108,7 +117,7 @@ class IdealWheel:
         rotor to rest within the step, limited to the Coulomb torque.
         """
         viscous = self._viscous * speed_rad_s
-        stopping = speed_rad_s / self._dt_per_inertia - motor_nm - viscous
+        stopping = speed_rad_s / self.speed_per_nm - motor_nm - viscous
         coulomb = self._coulomb
         return viscous + (coulomb if stopping > coulomb else -coulomb if stopping < -coulomb else stopping)
 

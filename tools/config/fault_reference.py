@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from bus.settings import NOTHING, fields_of, limits_of, strip_annotations
+from bus.settings import NOTHING, limits_of, strip_annotations
 from plant_server.faults import FAMILIES, KINDS, PROFILES, UNITS, family_of
 from plant_server.faults.effects import Effect
-from plant_server.faults.fault import FaultKeys
+from plant_server.faults.fault import FaultKeys, magnitudes_of
 from tools.config.comments import comments_of, summary_of
 
 PLANT_PAGE_BEGIN, PLANT_PAGE_END = "<!-- kinds of fault: begin, generated -->\n", "<!-- kinds of fault: end -->\n"
@@ -21,8 +21,10 @@ def list_variants() -> list[tuple[str, type[Effect]]]:
 
 def keys_of(cls: type[Effect]) -> list[tuple[type, str, Any, Any]]:
     """Class, key, type and default of everything that a fault of one kind takes beside unit and kind."""
-    sources = [FaultKeys, *(PROFILES.values() if cls.rises else ()), cls]
-    found = [(source, name, kind, default) for source in sources for name, (kind, default) in fields_of(source).items()]
+    sources: list[type] = [FaultKeys, *(PROFILES.values() if cls.rises else ()), cls]
+    found = [
+        (source, name, kind, default) for source in sources for name, (kind, default) in magnitudes_of(source).items()
+    ]
     return [item for item in found if item[1] not in ("unit", "kind")]
 
 
@@ -30,9 +32,10 @@ def format_kinds() -> str:
     """Table of every kind of fault: where it can be, what it does, which magnitudes it takes."""
     lines = ["| unit | kind | needs | may have | what happens |", "|---|---|---|---|---|"]
     for family, cls in list_variants():
-        comments = comments_of(cls)
+        source: type = cls
+        comments = comments_of(source)
         needs, may = [], []
-        for name, (kind, default) in fields_of(cls).items():
+        for name, (kind, default) in magnitudes_of(cls).items():
             limits = limits_of(strip_annotations(kind)[1])
             if default is NOTHING:
                 needs.append(f"`{name}`" + (f" {limits}" if limits else ""))

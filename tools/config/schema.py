@@ -83,7 +83,9 @@ def _describe_faults(definitions: dict[str, Any]) -> dict[str, Any]:
         properties: dict[str, Any] = {"unit": {"enum": list(UNITS_OF[family])}, "kind": {"const": cls.kind}}
         if cls.rises:
             properties["profile"] = {"enum": list(PROFILES)}
-        properties |= {key: _describe_key(source, key, kind, default, definitions) for source, key, kind, default in keys_of(cls)}
+        properties |= {
+            key: _describe_key(source, key, kind, default, definitions) for source, key, kind, default in keys_of(cls)
+        }
         definitions[name] = {
             "type": "object", "description": summary_of(cls), "properties": properties, "additionalProperties": False,
         }  # fmt: skip

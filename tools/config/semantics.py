@@ -136,12 +136,12 @@ def check_faults(parts: dict[KeyPath, Any]) -> Problems:
         if at_s is not None and duration_s is not None and at_s >= duration_s:
             word = f"{at_s} s is not before the end of the run, {duration_s} s: the fault would never take effect"
             yield Problem((*at, "at_s"), word)
-        if at_s is not None and (word_or_none := explain_times(at_s, until_s)):
-            yield Problem((*at, "until_s"), word_or_none)
+        if at_s is not None and (late := explain_times(at_s, until_s)):
+            yield Problem((*at, "until_s"), late)
         for problem in fault.check(plant) if fault is not None else ():
             yield Problem((*at, *problem.path), problem.message, problem.at_key)
-    faults = [parts.get(("faults", index)) for index in range(count)]
-    names = fault_ids(faults) if None not in faults else ()
+    faults = [fault for index in range(count) if (fault := parts.get(("faults", index))) is not None]
+    names = fault_ids(faults) if len(faults) == count else ()
     for index, name in enumerate(names):
         if name in names[:index]:
             word = f'"{name}" is the id of faults[{names.index(name)}] too; ids are unique'

@@ -28,8 +28,10 @@ from fsw.config import (
 from fsw.guidance import Guidance
 from fsw.records import Detection, Sensors
 from fsw.wheel_axes import combine_wheels
-from plant_server.config import BodyConfig, FaultConfig, GyroConfig, PlantConfig, StarTrackerConfig, WheelConfig
-from plant_server.plant import TRUTH_FIELDS, Plant
+from plant_server.config import BodyConfig, GyroConfig, PlantConfig, StarTrackerConfig, WheelConfig
+from plant_server.faults import Fault, make_fault
+from plant_server.plant import Plant
+from plant_server.truth import Truth
 
 INERTIA_KGM2: Mat3 = ((45.0, 3.0, 2.0), (3.0, 38.0, -1.5), (2.0, -1.5, 50.0))
 # 50, 50 and 250 microradians: a common star tracker
@@ -37,24 +39,15 @@ STAR_ARCSEC: Vec3 = (10.3, 10.3, 51.6)
 PUBLISHED_Q: Vec4 = (0.85, 0.25, -0.3, 0.35)
 PUBLISHED_RATE_DEG_S: Vec3 = (0.51, 0.3, 0.009)
 STALE_TICKS = 5  # a silent gyro axis is held for this long, then not valid
-
-
-def _find_offset(name: str) -> int:
-    """Where a signal begins in the flat truth of a tick."""
-    names = [field_name for group in TRUTH_FIELDS.values() for field_name, count, _, _ in group for _ in range(count)]
-    return names.index(name)
-
-
-_TAU_FAULT, _GYRO_FAULT = _find_offset("tau_fault_b_nm"), _find_offset("fault_b_rad_s")
 _MOUNTS = ("x", "y", "z", "skew")
 
 # The wheel faults of Zhang, Ye & Sun 2018, section 4.
 WHEEL_FAULTS = (
-    FaultConfig(unit="wheel.2", kind="loss", at_s=10.0, until_s=50.0, effectiveness=0.5),
-    FaultConfig(unit="wheel.3", kind="stuck_torque", at_s=20.0, until_s=40.0, torque_nm=0.015),
-    FaultConfig(unit="wheel.1", kind="loss", at_s=30.0, until_s=100.0, effectiveness=0.6),
-    FaultConfig(unit="wheel.1", kind="loss", at_s=100.0, effectiveness=0.4),
-    FaultConfig(unit="wheel.4", kind="dead", at_s=30.0),
+    make_fault(unit="wheel.2", kind="loss", at_s=10.0, until_s=50.0, effectiveness=0.5),
+    make_fault(unit="wheel.3", kind="stuck_torque", at_s=20.0, until_s=40.0, torque_nm=0.015),
+    make_fault(unit="wheel.1", kind="loss", at_s=30.0, until_s=100.0, effectiveness=0.6),
+    make_fault(unit="wheel.1", kind="loss", at_s=100.0, effectiveness=0.4),
+    make_fault(unit="wheel.4", kind="dead", at_s=30.0),
 )
 
 
@@ -72,7 +65,7 @@ class FlightSettings:
     inertia_sigma: float = 0.02  # truth = model * (1 + this * normal)
     manoeuvre_every_s: float = 120.0  # 0: hold one attitude
     published_start: bool = False  # attitude and rate of Zhang, Ye & Sun 2018, section 4, instead of random ones
-    faults: tuple[FaultConfig, ...] = ()
+    faults: tuple[Fault, ...] = ()
     detector: DetectorConfig = field(default_factory=lambda: PracticalDetectorConfig(kind="practical"))
 
 
@@ -207,14 +200,9 @@ def with_detector(settings: FlightSettings, **changes: object) -> FlightSettings
     return replace(settings, detector=replace(settings.detector, **changes))  # type: ignore[arg-type]
 
 
-def _look(
-    tick: int, sensors: Sensors, detection: Detection, truth: tuple[float, ...], tau_hat: Vec3, target: Vec4
-) -> Moment:
+def _look(tick: int, sensors: Sensors, detection: Detection, truth: Truth, tau_hat: Vec3, target: Vec4) -> Moment:
     """The parts of the truth that campaigns grade on."""
-    q: Vec4 = (truth[0], truth[1], truth[2], truth[3])
-    gx, gy, gz = truth[_GYRO_FAULT : _GYRO_FAULT + 3]
-    tx, ty, tz = truth[_TAU_FAULT : _TAU_FAULT + 3]
     return Moment(
-        tick, sensors.t_s, sensors, detection, q, (truth[4], truth[5], truth[6]), (gx, gy, gz), (tx, ty, tz), tau_hat,
-        math.degrees(angle_between(target, q)),
+        tick, sensors.t_s, sensors, detection, truth.q_ib, truth.omega_bi_b_rad_s, truth.fault_b_rad_s,
+        truth.tau_fault_b_nm, tau_hat, math.degrees(angle_between(target, truth.q_ib)),
     )  # fmt: skip
