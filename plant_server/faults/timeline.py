@@ -219,7 +219,7 @@ class FaultTimeline:
 
     def _expect(self, step: int, phase: str, item: Occurrence) -> None:
         self._waiting.append((step, phase, item))
-        self._waiting.sort(key=lambda entry: (entry[0], ORDER[entry[1]], entry[2].number))
+        self._waiting.sort(key=_find_place)
         self.next_event = self._waiting[0][0]
 
     # -- entering ------------------------------------------------------------------------------------------------------
@@ -247,6 +247,12 @@ class FaultTimeline:
     def _round_to_tick(self, step: int) -> int:
         n = self._steps_per_tick
         return step if step == NEVER else -(-step // n) * n
+
+
+def _find_place(entry: tuple[int, str, Occurrence]) -> tuple[int, int, int]:
+    """Return the order of events: by step, ends ahead of onsets, but that of a fault too short to act behind its own."""
+    step, phase, item = entry
+    return (step, 3 if phase == "end" and item.on >= step else ORDER[phase], item.number)
 
 
 def _is_meant(item: Occurrence, id: str | None, unit: str | None) -> bool:
