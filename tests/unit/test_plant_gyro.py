@@ -273,6 +273,13 @@ def test_stuck_freezes_at_the_last_output_to_the_bit():
     assert len(set(readings[20:40, 0])) > 10
 
 
+def test_an_ideal_gyro_that_gets_stuck_holds_the_sample_before():
+    """Not the rate at its onset: the output of the tick before it, to the bit; a quantised one goes on from its rest."""
+    gyro = make_gyro([gyro_fault("stuck", unit="gyro.x", at_s=2 * DT_S)])
+    rates = [gyro.sample((rate, 0.0, 0.0), k, k * DT_S)[0] for k, rate in enumerate([0.0, 0.5, 0.25, 0.125])]
+    assert rates == [0.0, 0.5, 0.5, 0.5]
+
+
 def test_dead_is_silence_and_intermittent_is_silence_by_chance():
     """Dead: no frame at all. Intermittent: the given share of frames is missing (5 standard errors)."""
     _, silent, _ = read(make_gyro([gyro_fault("dead", until_s=2.0)]), 60)

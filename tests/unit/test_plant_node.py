@@ -150,7 +150,7 @@ class StampedBus:
 
     kernel_stamps_ns = (7, 8, 9)
 
-    class counters:  # noqa: N801
+    class counters:
         dropped = 0
 
 
