@@ -227,7 +227,7 @@ def test_a_fault_reads_back_as_itself(unit, kind):
 def test_an_empty_key_of_another_kind_is_as_good_as_left_out():
     """So that one override can change the kind of a fault and another take its old magnitude away."""
     keys = {"unit": "wheel.1", "kind": "bias", "torque_nm": 0.1, "at_s": 1.0}
-    assert Reading(Fault, {**keys, "effectiveness": None}).value == make_fault(**keys)
+    assert build(Fault, {**keys, "effectiveness": None}, "x") == make_fault(**keys)
 
 
 # -- effect --------------------------------------------------------------------------------------------------------
@@ -401,6 +401,17 @@ def test_faults_are_cleared_by_id_by_unit_and_all():
     ]
     with pytest.raises(ConfigError, match='no fault with id "all axes" is waiting or active'):
         plant.clear_faults(id="all axes")
+
+
+def test_clearing_the_gyro_clears_its_axes_and_clearing_an_axis_not_the_gyro():
+    """A unit is what stands in the fault, but `gyro` is all of it."""
+    dead = {"kind": "dead", "at_s": 0.0}
+    plant = make_plant([make_fault(unit=unit, **dead) for unit in ("gyro", "gyro.x", "gyro.y", "wheel.1")])
+    run(plant, 3)
+    assert plant.clear_faults(unit="gyro.x") == ("faults[1]",)
+    assert plant.clear_faults(unit="gyro") == ("faults[0]", "faults[2]")
+    with pytest.raises(ConfigError, match='no fault with unit "star_tracker"'):
+        plant.clear_faults(unit="star_tracker")
 
 
 def test_a_run_repeats_bit_for_bit_and_another_seed_differs():
