@@ -4,25 +4,23 @@ from __future__ import annotations
 
 import argparse
 import sys
-import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from bus.clock import claim_realtime
+from bus.clock import MonotonicClock, SystemClock, claim_realtime
 from bus.process import MEETING_PATIENCE_S, Progress, last_word, run_process
 from bus.run import RunConfig
 from bus.settings import build_file
 from bus.telemetry.link import TelemetryLink
-from bus.units import Vec4
 from bus.wire.address import open_transport
 from bus.wire.transport import Transport
-from plant_server.channel import STATE_FAILED, STATE_STOPPED, PlantServer
-from plant_server.config import FaultConfig, PlantConfig
+from plant_server.channel import STATE_FAILED, STATE_STOPPED
+from plant_server.config import PlantConfig
+from plant_server.faults import Fault
 from plant_server.handshake import meet_fsw
-from plant_server.lockstep import LockStep
+from plant_server.node import PlantNode
+from plant_server.pacing import Exchange, LockStep, RealTime
 from plant_server.plant import Plant
-from plant_server.plant_log import PlantLog
-from plant_server.realtime import RealTime
 from plant_server.truth import SOURCE
 
 
@@ -32,8 +30,7 @@ class PlantFile:
 
     run: RunConfig
     plant: PlantConfig
-    faults: tuple[FaultConfig, ...] = ()
-    target_q: Vec4 = (1.0, 0.0, 0.0, 0.0)  # only to log the true pointing error
+    faults: tuple[Fault, ...] = ()
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -48,34 +45,42 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _serve(config: PlantFile, telemetry_fd: int | None, progress: Progress) -> None:
-    run = config.run
-    tick_s = run.tick_ns * 1e-9
-    server = PlantServer(Plant(config.plant, config.faults, tick_s, run.seed, config.target_q), tick_s, run.run_hash)
+    run, clock = config.run, SystemClock()
+    plant = Plant(config.plant, config.faults, run.tick_ns * 1e-9, run.seed)
     link = TelemetryLink(telemetry_fd, SOURCE, blocking=run.clock.mode != "realtime")
-    log = PlantLog(server, link, run.tick_ns, stamped=run.bus.address.startswith("socketcan:"))
+    stamped = run.bus.address.startswith("socketcan:")
+    node = PlantNode(plant, link, run.tick_ns, run.run_hash, stamped=stamped)
     transport = open_transport(run.bus.address, node="plant", host=True, bitrate_bps=run.bus.bitrate_bps)
     with last_word(
         "plant", transport, link, progress,
-        lambda failed: server.heartbeat(STATE_FAILED if failed else STATE_STOPPED),
-        lambda: server.tick * run.tick_ns,
+        lambda failed: node.channel.heartbeat(STATE_FAILED if failed else STATE_STOPPED),
+        lambda: node.tick_number * run.tick_ns,
     ):  # fmt: skip
         progress.say(state="waiting", bus=transport.address)
-        meet_fsw(transport, server, run.run_hash, MEETING_PATIENCE_S)
+        meet_fsw(transport, node.channel, run.run_hash, MEETING_PATIENCE_S, clock)
         progress.say(state="running")
-        started_s = time.monotonic()
-        _loop(run, server, transport, log, progress)
-        progress.say(running_s=time.monotonic() - started_s)
+        started_ns = clock.now_ns()
+        if run.clock.mode == "realtime":
+            _run_realtime(node, transport, clock, run, progress)
+        else:
+            _run_ticks(node, LockStep(transport, clock, node.log).exchange, run.ticks, progress)
+        progress.say(running_s=(clock.now_ns() - started_ns) * 1e-9)
 
 
-def _loop(run: RunConfig, server: PlantServer, transport: Transport, log: PlantLog, progress: Progress) -> None:
-    if run.clock.mode != "realtime":
-        LockStep(server, transport, log, progress).run(run.ticks)
-        return
+def _run_realtime(
+    node: PlantNode, transport: Transport, clock: MonotonicClock, run: RunConfig, progress: Progress
+) -> None:
     scheduling = claim_realtime()
-    log.link.event(0, "info", "plant", f"scheduling: {scheduling}")
-    loop = RealTime(server, transport, log, progress, run.tick_ns)
-    loop.run(run.ticks)
-    progress.say(plant_slips=loop.slips, plant_max_lateness_us=loop.max_lateness_ns / 1e3, scheduling=scheduling)
+    node.log.link.event(0, "info", "plant", f"scheduling: {scheduling}")
+    pacing = RealTime(transport, clock, run.tick_ns, node.log)
+    _run_ticks(node, pacing.exchange, run.ticks, progress)
+    progress.say(plant_slips=pacing.slips, plant_max_lateness_us=pacing.max_lateness_ns / 1e3, scheduling=scheduling)
+
+
+def _run_ticks(node: PlantNode, exchange: Exchange, ticks: int, progress: Progress) -> None:
+    for tick in range(ticks):
+        node.tick(exchange)
+        progress(tick)
 
 
 if __name__ == "__main__":

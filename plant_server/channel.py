@@ -27,6 +27,8 @@ from bus.icd.codec import (
     encode_TIME,
 )
 from bus.icd.e2e import JUMP, REPEATED, Link, LinkGroup, part_group
+from bus.linear import ZERO4
+from bus.units import Vec4
 from bus.wire.frames import FRAME, FRAME_SIZE
 from plant_server.plant import FaultEvent, Plant, Snapshot
 from plant_server.star_tracker import StarFrame
@@ -40,12 +42,12 @@ STATE_STOPPED, STATE_OPERATIONAL, STATE_PRE_OPERATIONAL, STATE_FAILED = 4, 5, 12
 STAR_NOT_VALID = 15
 HEARTBEAT_S = 1.0
 Torques = tuple[float | None, float | None, float | None, float | None]  # None: no command
-NO_TORQUE: Torques = (0.0, 0.0, 0.0, 0.0)
+NO_TORQUE: Torques = ZERO4
 NEVER = -(10**9)  # tick of a command that has not come yet
 
 
 @dataclass(slots=True)
-class ServerCounters:
+class ChannelCounters:
     """Frames from the bus, by what became of them."""
 
     accepted: int = 0
@@ -56,7 +58,7 @@ class ServerCounters:
     stray: int = 0  # CYCLE_DONE of another tick than the present one; in real time the sides count ticks apart
 
 
-class PlantServer:
+class Channel:
     """A `Plant` behind CAN frames. Holds no socket and reads no clock."""
 
     def __init__(self, plant: Plant, tick_s: float, run_hash: int) -> None:
@@ -68,14 +70,13 @@ class PlantServer:
         self.events: tuple[FaultEvent, ...] = ()  # faults that took effect or ended since the last samples
         self.snapshot: Snapshot = plant.snapshot()  # of the truth, at the time of the samples
         self._run_hash = run_hash
-        self._heartbeat_ticks = max(1, round(HEARTBEAT_S / tick_s))
+        self.heartbeat_ticks = max(1, round(HEARTBEAT_S / tick_s))
         self._tick_s = tick_s
         self._star_counter = 0
-        self._current_a = self._current_ma = (0.0, 0.0, 0.0, 0.0)  # of the last samples
         config = plant.config
         self._timeout_ticks = config.command_timeout_ticks
         self._max_age_ticks = config.command_max_age_ticks
-        self._torques_nm = (0.0, 0.0, 0.0, 0.0)  # of the last command that each wheel took
+        self._torques_nm: Vec4 = ZERO4  # of the last command that each wheel took
         self._torque_ticks = (NEVER, NEVER, NEVER, NEVER)  # ticks at which they were received,
         self._torques_tick = NEVER  # and that at which all four came at once
         self._delay: deque[Torques] = deque([NO_TORQUE] * config.command_latency_ticks)
@@ -83,7 +84,7 @@ class PlantServer:
 
     def begin(self) -> None:
         """Forget the frames of the meeting: the run's own count starts here."""
-        self.counters = ServerCounters()
+        self.counters = ChannelCounters()
         self._slow_counter = 0
         self._links = {can_id: Link(DECODERS[can_id]) for can_id in (*GROUP_IDS, HEARTBEAT_FSW_ID)}
         self._group = LinkGroup([self._links[can_id] for can_id in GROUP_IDS])
@@ -99,30 +100,28 @@ class PlantServer:
         tick = self.tick
         sync_cnt = tick & 0xFF
         counter = tick % COUNTER_PERIOD
-        samples = self.plant.measure()
+        samples = self.plant.sample()
         self.snapshot = self.plant.snapshot()
-        _, rate, gyro_status, gyro_silent, star, speed, current, wheel_status, wheel_silent, any_silent, events = (
-            samples
-        )
-        self.events = events
-        if current is not self._current_a:
-            a, b, c, d = self._current_a = current
-            self._current_ma = (a * 1e3, b * 1e3, c * 1e3, d * 1e3)
-        extra = b"" if star is None else self._star_frames(star)
-        if tick % self._heartbeat_ticks == 0:
+        self.events = samples.events
+        a, b, c, d = samples.wheel_current_a
+        current_ma = (a * 1e3, b * 1e3, c * 1e3, d * 1e3)
+        wheels = encode_rw_tlms(counter, samples.wheel_status, samples.wheel_speed_rad_s, current_ma, sync_cnt)
+        if True in samples.wheel_silent:
+            wheels = _leave_out(wheels, samples.wheel_silent)
+        fogs = encode_fogs(counter, samples.gyro_status, samples.gyro_rate_rad_s, sync_cnt)
+        if True in samples.gyro_silent:
+            fogs = _leave_out(fogs, samples.gyro_silent)
+        extra = b"" if samples.star is None else self._star_frames(samples.star)
+        if tick % self.heartbeat_ticks == 0:
             extra += self._slow_frames(tick)
-        wheels = encode_rw_tlms(counter, wheel_status, speed, self._current_ma, sync_cnt)
-        fogs = encode_fogs(counter, gyro_status, rate, sync_cnt)
-        if any_silent:
-            wheels = _leave_out(wheels, wheel_silent)
-            fogs = _leave_out(fogs, gyro_silent)
         return wheels + fogs + extra + encode_SYNC(counter, 0, tick)
 
     def _star_frames(self, star: StarFrame) -> bytes:
         counter = self._star_counter
         self._star_counter = (counter + 1) % COUNTER_PERIOD
-        q, age_ticks = star
-        return encode_STR_QA(counter, age_ticks, q[0], q[1]) + encode_STR_QB(counter, age_ticks, q[2], q[3])
+        q0, q1, q2, q3 = star.q_ib
+        age_ticks = star.age_ticks
+        return encode_STR_QA(counter, age_ticks, q0, q1) + encode_STR_QB(counter, age_ticks, q2, q3)
 
     def _slow_frames(self, tick: int) -> bytes:
         seconds, fraction = divmod(tick * self._tick_s, 1.0)

@@ -106,29 +106,6 @@ TorqueConfig = ConstantTorque | SinusoidalTorque | GravityGradient
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FaultConfig:
-    """One fault: what, where, from when, until when, how it comes on. The same form from YAML and from a command.
-
-    Which of the magnitudes a kind needs, and what they mean, is in plant_server/faults.py (`CATALOGUE`); any other
-    one given is an error. Faults of one unit compose in the order of their onset; none replaces another.
-    """
-
-    unit: str  # wheel.1 .. wheel.4, gyro.x .. gyro.z, gyro (all axes), star_tracker
-    kind: str  # see CATALOGUE
-    at_s: Annotated[Seconds, Ge(0)]
-    until_s: Annotated[Seconds, Gt(0)] | None = None  # None: to the end of the run
-    rise_s: Annotated[Seconds, Ge(0)] = 0.0  # 0: step; else a linear ramp from none to full
-    effectiveness: Annotated[float, Ge(0), Le(1)] | None = None  # wheel loss
-    torque_nm: NewtonMetre | None = None  # wheel bias, stuck_torque
-    rate_rad_s: RadS | None = None  # gyro constant, stuck, spikes; amplitude of periodic
-    slope_rad_s2: Annotated[float, Unit("rad/s^2")] | None = None  # gyro ramp
-    frequency_rad_s: Annotated[RadS, Gt(0)] | None = None  # gyro periodic
-    phase: Literal["onset", "absolute"] = "onset"  # periodic: sin(w (t - at_s)) or sin(w t)
-    factor: float | None = None  # gyro noise (x ARW), scale (1 + factor)
-    probability: Annotated[float, Ge(0), Le(1)] | None = None  # spikes, intermittent, dropout: per tick or frame
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class PlantConfig:
     """Everything the plant needs beside the clock and the bus."""
 

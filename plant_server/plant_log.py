@@ -1,15 +1,29 @@
-"""What the plant writes to the log: the raw frames of the bus, the truth, and every fault as it bites."""
+"""What the plant writes to the log: frames of the bus, truth, counters, and what becomes of every fault."""
 
 from __future__ import annotations
 
+from bus.commands import Command
 from bus.telemetry.link import Field, Link, Row, TickPacker, Topic, announce_topics, pack_frames_stamped, stamp
 from bus.wire.frames import FRAME_ID
 from bus.wire.transport import Transport
-from plant_server.channel import PlantServer
-from plant_server.plant import FaultEvent
+from plant_server.channel import Channel
+from plant_server.faults import FaultEvent
+from plant_server.plant import Plant
 from plant_server.truth import FRAMES_CHANNEL, make_packer
 
 BUS_NAME = "bus0"
+COUNTERS_CHANNEL = 50
+COUNTERS = Topic(
+    "/plant/channel",
+    "hilsat/PlantChannel",
+    (
+        Field("accepted", "uint64", 1, "1", "frames taken since the start of the run"),
+        Field("refused", "uint64", 1, "1", "frames whose length, checksum or alive counter was wrong"),
+        Field("foreign", "uint64", 1, "1", "frames that are not for the plant"),
+        Field("too_old", "uint64", 1, "1", "commands whose SYNC_CNT was older than allowed"),
+        Field("timeouts", "uint64", 1, "1", "wheel-ticks without a fresh enough command"),
+    ),
+)
 STAMPS_CHANNEL = 51
 STAMPS = Topic(
     f"/can/{BUS_NAME}_kernel_stamps",
@@ -21,22 +35,26 @@ STAMPS = Topic(
     ),
     deterministic=False,
 )
+LEVELS = {"onset": "warning", "effect": "info", "end": "info", "cleared": "info"}  # of the line for people
 
 
 class PlantLog:
-    """Feeds one telemetry link, a row a tick.
+    """Feeds one telemetry link, a row a tick; the counters of the channel with every heartbeat.
+
+    A tick's records end with those of the truth, so that these stand at a fixed distance from its end.
 
     stamped : the bus says when each frame was received; logged in a topic of its own, one record a frame
     """
 
-    def __init__(self, server: PlantServer, link: Link, tick_ns: int, stamped: bool = False) -> None:
-        self._server = server
+    def __init__(self, channel: Channel, link: Link, tick_ns: int, stamped: bool = False) -> None:
+        self._channel = channel
         self.link = link
         self._tick_ns = tick_ns
-        self._packer = make_packer()
+        self._truth = make_packer()
+        self._counters = TickPacker([COUNTERS], COUNTERS_CHANNEL)
         self._stamps = TickPacker([STAMPS], STAMPS_CHANNEL) if stamped else None
         self._arrivals: list[tuple[int, int, int]] = []  # of this tick: time, id, frames dropped so far
-        packers = [self._packer] if self._stamps is None else [self._packer, self._stamps]
+        packers = [self._truth, self._counters, *([self._stamps] if self._stamps else [])]
         link.announce(announce_topics(packers, {FRAMES_CHANNEL: BUS_NAME}), self._pack_rows)
 
     def note_arrival(self, batch: bytes, transport: Transport) -> None:
@@ -49,26 +67,62 @@ class PlantLog:
 
     def write(self, frames: bytes) -> None:
         """Log this tick: the frames in the order of the bus, the truth at the time of sampling, new fault events."""
-        server = self._server
-        tick = server.tick
+        channel = self._channel
+        tick = channel.tick
         t_ns = tick * self._tick_ns
-        for event in server.events:
-            self._announce(event, tick, t_ns)
-        self.link.write_row((tick, t_ns, frames, server.snapshot, tuple(self._arrivals)))
+        for event in channel.events:
+            self._announce(event, t_ns)
+        counts: tuple[int, ...] = ()
+        if tick % channel.heartbeat_ticks == 0:
+            now = channel.counters
+            counts = (now.accepted, now.refused, now.foreign, now.too_old, now.timeouts)
+        self.link.write_row((tick, t_ns, frames, channel.snapshot, tuple(self._arrivals), counts))
         self._arrivals.clear()
 
     def _pack_rows(self, rows: list[Row]) -> list[bytes]:
-        expand, pack, records = self._server.plant.expand, self._packer.pack_stamped, []
-        for tick, t_ns, frames, snapshot, arrivals in rows:
+        flatten, pack_truth, records = Plant.flatten, self._truth.pack_stamped, []
+        for tick, t_ns, frames, snapshot, arrivals, counts in rows:
             head = stamp(tick, t_ns)
-            data = pack_frames_stamped(FRAMES_CHANNEL, head, frames) + pack(head, expand(snapshot))
+            data = pack_frames_stamped(FRAMES_CHANNEL, head, frames)
             if arrivals and self._stamps is not None:
                 pack_stamp = self._stamps.pack_stamped
                 data += b"".join([pack_stamp(head, arrival) for arrival in arrivals])
-            records.append(data)
+            if counts:
+                data += self._counters.pack_stamped(head, counts)
+            records.append(data + pack_truth(head, flatten(snapshot)))
         return records
 
-    def _announce(self, event: FaultEvent, tick: int, t_ns: int) -> None:
-        phase = "onset" if event.active else "end"
-        self.link.fault(t_ns, event.tick, event.unit, event.kind, phase, event.magnitude, event.describe())
-        self.link.event(t_ns, "warning" if event.active else "info", "plant", f"fault {phase}: {event.describe()}")
+    # -- now and then --------------------------------------------------------------------------------------------------
+
+    def _announce(self, event: FaultEvent, t_ns: int) -> None:
+        fault = event.fault
+        self.link.fault(
+            t_ns, event.tick, fault.unit, fault.kind, event.phase, event.value, fault.describe(),
+            id=event.id, number=event.number, definition=fault.definition,
+        )  # fmt: skip
+        self.link.event(t_ns, LEVELS[event.phase], "plant", f"fault {event.phase}: {event.id}: {fault.describe()}")
+
+    def note_command(self, command: Command, tick: int, done: str) -> None:
+        """Log a command that was applied before the work of this tick."""
+        self.link.event(
+            tick * self._tick_ns, "info", "plant", f"{command.verb} by {command.origin} at tick {tick}: {done}"
+        )
+
+    def note_refusal(self, command: Command, tick: int, reason: str) -> None:
+        """Log a command that was refused before the work of this tick, and why."""
+        t_ns = tick * self._tick_ns
+        asked = {key: str(command.arguments.get(key, "")) for key in ("unit", "kind", "id")}
+        self.link.fault(
+            t_ns,
+            tick,
+            asked["unit"],
+            asked["kind"],
+            "refused",
+            0.0,
+            reason,
+            id=asked["id"],
+            definition=command.to_json(),
+        )
+        self.link.event(
+            t_ns, "warning", "plant", f"{command.verb} by {command.origin} at tick {tick} refused: {reason}"
+        )

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 from bus.attitude import IDENTITY, exp_map, multiply, rotate
 from bus.units import DEG, Vec3, Vec4
 from plant_server.config import StarTrackerConfig
 from plant_server.faults import STAR_TRACKER, FaultTimeline
+from plant_server.faults.effects import StarEffect, StarSample
+from plant_server.faults.timeline import ActiveFault, FaultChain
 from plant_server.noise import open_normals
 
 ARCSEC = DEG / 3600.0  # rad per arc second
@@ -28,11 +30,12 @@ class StarTracker:
 
     __slots__ = (
         "_boresight_b", "_chain", "_cos_exclusion", "_direction_i", "_draw", "_every", "_latency",
-        "_max_rate_squared", "_queue", "_sigma", "next_tick",
+        "_max_rate_squared", "_queue", "_sigma", "_timeline", "next_tick",
     )  # fmt: skip
 
     def __init__(self, config: StarTrackerConfig, timeline: FaultTimeline, dt_s: float, seed: int) -> None:
-        self._chain = timeline.chains[STAR_TRACKER]
+        self._timeline = timeline
+        self._chain = cast(FaultChain[StarEffect], timeline.chains[STAR_TRACKER])
         self._every = round(1.0 / (config.rate_hz * dt_s))
         self._latency = round(config.latency_s / dt_s)
         x, y, z = config.noise_arcsec
@@ -81,19 +84,28 @@ class StarTracker:
         return StarFrame(q_ib if self._sigma is None else multiply(q_ib, error), self._latency)
 
     def _drop_out(self, step: int, t_s: float) -> bool:
+        """Return whether the faults lose this frame; note which of them first does."""
         chain = self._chain
         if step >= chain.next_edge:
             chain.refresh(step)
-        lost = False
         for fault in chain.active:
-            given = fault.config.probability
-            probability = fault.measure_level(t_s) * (1.0 if given is None else given)
-            if fault.draw is not None and fault.draw() < probability:
-                lost = True
+            fault.bring_to(t_s)
+        lost = self._disturb(None).lost
+        for fault in chain.without_effect_yet():
+            if lost != self._disturb(fault).lost:
+                self._timeline.note_effect(fault, step)
         if lost and self._sigma is not None:  # the frame's noise is spent all the same
             for _ in range(3):
                 self._draw()
         return lost
+
+    def _disturb(self, left_out: ActiveFault[StarEffect] | None) -> StarSample:
+        """Return the message after all active faults but one."""
+        sample = StarSample()
+        for fault in self._chain.active:
+            if fault is not left_out:
+                fault.effect.disturb(sample, fault.now)
+        return sample
 
 
 def _point(v: Vec3) -> Vec3:

@@ -59,11 +59,20 @@ FAULTS: Final = JsonTopic(
     "hilsat.Fault",
     {
         "timestamp": _TIME,
-        "tick": {"type": "integer", "description": "tick at which it took effect"},
-        "unit": {"type": "string", "description": "the unit it bites, for example rw2"},
+        "id": {
+            "type": "string",
+            "description": "which fault: its own id, faults[0] the first of the scenario, command[0]",
+        },
+        "number": {"type": "integer", "description": "in the order of the scenario, then of commands; -1: none"},
+        "unit": {"type": "string", "description": "the unit it bites, for example wheel.1"},
         "fault": {"type": "string", "description": "kind of fault"},
-        "phase": {"type": "string", "description": "onset, end or refused"},
-        "value": {"type": "number", "description": "size of the fault in the unit of its kind"},
+        "phase": {
+            "type": "string",
+            "description": "onset, effect (first changed its unit's output), end, cleared, refused",
+        },
+        "tick": {"type": "integer", "description": "tick at which that happened"},
+        "value": {"type": "number", "description": "first magnitude of the fault, in the unit of its kind"},
+        "definition": {"type": "string", "description": "the whole fault as JSON, keys as in a scenario file"},
         "message": _TEXT,
     },
 )
@@ -105,13 +114,24 @@ def format_event(t_ns: int, level: int | str, name: str, message: str) -> bytes:
 
 
 def format_fault(
-    t_ns: int, tick: int, unit: str, fault: str, phase: str, value: float = 0.0, message: str = ""
+    t_ns: int,
+    tick: int,
+    unit: str,
+    fault: str,
+    phase: str,
+    value: float = 0.0,
+    message: str = "",
+    *,
+    id: str = "",
+    number: int = -1,
+    definition: str = "",
 ) -> bytes:
-    """One record of a fault's onset, end or refusal as JSON; a value that is not finite is left out."""
-    record: dict[str, Any] = {"timestamp": stamp(t_ns), "tick": tick, "unit": unit, "fault": fault, "phase": phase}
+    """One record of what became of a fault as JSON, keys as FAULTS says; a value that is not finite is left out."""
+    record: dict[str, Any] = {"timestamp": stamp(t_ns), "id": id, "number": number, "unit": unit, "fault": fault}
+    record |= {"phase": phase, "tick": tick}
     if math.isfinite(value):
         record["value"] = value
-    return json.dumps({**record, "message": message}).encode()
+    return json.dumps({**record, "definition": definition, "message": message}).encode()
 
 
 def format_transform(t_ns: int, parent: str, child: str, translation_m: Vec3, q: Vec4) -> bytes:

@@ -231,10 +231,24 @@ class Link:
         self.write_json(EVENTS.name, t_ns, format_event(t_ns, level, name, message))
 
     def fault(
-        self, t_ns: int, tick: int, unit: str, fault: str, phase: str, value: float = 0.0, message: str = ""
+        self,
+        t_ns: int,
+        tick: int,
+        unit: str,
+        fault: str,
+        phase: str,
+        value: float = 0.0,
+        message: str = "",
+        *,
+        id: str = "",
+        number: int = -1,
+        definition: str = "",
     ) -> None:
-        """Log on /faults that a fault of `unit` took effect at `tick`; phase is onset, end or refused."""
-        self.write_json(FAULTS.name, t_ns, format_fault(t_ns, tick, unit, fault, phase, value, message))
+        """Log on /faults what became of a fault of `unit` at `tick`; the phases are those of bus.telemetry.events."""
+        record = format_fault(
+            t_ns, tick, unit, fault, phase, value, message, id=id, number=number, definition=definition
+        )
+        self.write_json(FAULTS.name, t_ns, record)
 
     def transform(self, t_ns: int, parent: str, child: str, translation_m: Vec3, q: Vec4) -> None:
         """Log on /tf the pose of `child` in `parent`; q scalar first, v_parent = R(q) v_child."""

@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import copy
 import json
+from functools import reduce
+from operator import or_
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
-from pydantic import TypeAdapter, ValidationError
+from pydantic import BeforeValidator, ConfigDict, GetCoreSchemaHandler, TypeAdapter, ValidationError, create_model
+from pydantic_core import CoreSchema, core_schema
 
-from bus.settings import Reading
+from bus.settings import NOTHING, Reading, fields_of
+from plant_server.faults import KINDS, PROFILES, UNITS, Fault, family_of
+from plant_server.faults.fault import FaultKeys
 from tools.config import Scenario, examine_text, load_scenario
 from tools.config.reference import walk_classes
 
@@ -22,8 +27,57 @@ RESOLVED = [load_scenario(path).as_dict() for path in sorted((ROOT / "scenarios"
 NAME = str(ROOT / "scenarios" / "s.yaml")  # where `extends` is looked for
 
 
+STRICT = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
+FAULT_KEYS = {
+    "profile",
+    *(key for group in (PROFILES, *KINDS.values()) for cls in group.values() for key in fields_of(cls)),
+}
+
+
+def drop_empty(data: Any) -> Any:
+    """Without the empty keys that some other kind of fault has: those are as good as left out."""
+    return {k: v for k, v in data.items() if v is not None or k not in FAULT_KEYS} if isinstance(data, dict) else data
+
+
+def make_fault_oracle() -> TypeAdapter[Any]:
+    """One pydantic model for each kind of fault with each profile, from the register of kinds; any of them may fit."""
+    models = []
+    for family, kinds in KINDS.items():
+        units = Literal[tuple(unit for unit in UNITS if family_of(unit) == family)]
+        for kind, cls in kinds.items():
+            for name, profile in PROFILES.items() if cls.rises else [("step", None)]:
+                named = Literal[name] if cls.rises else None
+                keys = {**fields_of(FaultKeys), **(fields_of(profile) if profile else {}), **fields_of(cls)}
+                fields: dict[str, Any] = {
+                    key: (item, ... if default is NOTHING else default) for key, (item, default) in keys.items()
+                }
+                fields |= {"unit": (units, ...), "kind": (Literal[kind], ...)}
+                if named is not None:
+                    fields["profile"] = (named, name)
+                models.append(create_model(f"{family}_{kind}_{name}", __config__=STRICT, **fields))
+    return TypeAdapter(Annotated[reduce(or_, models), BeforeValidator(drop_empty)])
+
+
+def read_fault(data: Any) -> Fault:
+    """The fault that pydantic makes of a mapping: validated by its models, put together here."""
+    found = FAULT_ORACLE.validate_python(data, strict=True)
+    values = {key: getattr(found, key) for key in type(found).model_fields}
+    profile = PROFILES[values.pop("profile", "step")]
+    effect = KINDS[family_of(found.unit)][values.pop("kind")]
+    take = lambda cls: cls(**{key: values.pop(key) for key in fields_of(cls)})  # noqa: E731
+    return Fault(profile=take(profile), effect=take(effect), **values)
+
+
+def fault_schema(source: type, handler: GetCoreSchemaHandler) -> CoreSchema:
+    return core_schema.no_info_plain_validator_function(read_fault)
+
+
+FAULT_ORACLE = make_fault_oracle()
+
+
 def make_oracle() -> TypeAdapter[Scenario]:
     """pydantic over the settings classes, as strict as ours: unknown keys, NaN and infinities are errors."""
+    Fault.__get_pydantic_core_schema__ = staticmethod(fault_schema)
     for _, cls in walk_classes(Scenario, ""):
         cls.__pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}
     return TypeAdapter(Scenario)

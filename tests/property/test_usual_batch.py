@@ -31,7 +31,7 @@ from bus.settings import build
 from bus.wire.frames import FRAME
 from fsw.config import FswConfig
 from fsw.inputs import Inputs
-from plant_server.channel import PlantServer
+from plant_server.channel import Channel
 from plant_server.config import PlantConfig
 from plant_server.plant import Plant
 
@@ -128,7 +128,7 @@ def disturbed(draw: Any, frames: list[bytes]) -> bytes:
     return b"".join(frames)
 
 
-def forget(side: Inputs | PlantServer) -> None:
+def forget(side: Inputs | Channel) -> None:
     """Send this side's next batch through the general path."""
     side._group.part()
     side._group.expected = -1
@@ -163,7 +163,7 @@ def test_sensors_are_the_same_by_both_ways(data: st.DataObject) -> None:
 @given(st.data())
 def test_commands_are_the_same_by_both_ways(data: st.DataObject) -> None:
     """Torques in effect, counters and every link are equal after every tick, whatever happens to the batches."""
-    usual, each = (PlantServer(Plant(PLANT, (), TICK_S, 1), TICK_S, 77) for _ in range(2))
+    usual, each = (Channel(Plant(PLANT, (), TICK_S, 1), TICK_S, 77) for _ in range(2))
     for tick in range(data.draw(st.integers(1, 20))):
         assert usual.announce() == each.announce()
         batch = data.draw(disturbed(data.draw(command_frames(tick))))

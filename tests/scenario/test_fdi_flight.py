@@ -14,7 +14,7 @@ from fsw.gyro_fdi.practical import PracticalDetector
 from fsw.gyro_fdi.practical_settings import PracticalDetectorConfig
 from fsw.gyro_fdi.wang2010 import Wang2010DetectorConfig
 from fsw.vehicle import ModelConfig
-from plant_server.config import FaultConfig
+from plant_server.faults import Fault, make_fault
 from tools.design import fdi_campaign
 from tools.design.fdi_campaign import Watch, vary
 from tools.design.fdi_flight import WHEEL_FAULTS, FlightSettings, Moment, fly, with_detector
@@ -24,8 +24,8 @@ BASE = FlightSettings(seed=1, duration_s=100.0)
 ALARM = 2
 
 
-def drift(unit: str, rate_rad_s: float, **more: Any) -> FaultConfig:
-    return FaultConfig(unit=unit, kind="constant", at_s=ONSET_S, rate_rad_s=rate_rad_s, **more)
+def drift(unit: str, rate_rad_s: float, **more: Any) -> Fault:
+    return make_fault(unit=unit, kind="constant", at_s=ONSET_S, rate_rad_s=rate_rad_s, **more)
 
 
 def record(settings: FlightSettings) -> tuple[list[Moment], Any]:
@@ -92,7 +92,7 @@ def test_a_healed_axis_is_used_again() -> None:
 @pytest.mark.parametrize("rate_hz", [20, 100])
 def test_a_dead_axis_is_replaced_at_once(rate_hz: int) -> None:
     """No frames from one axis: replaced as soon as the inputs say so, attitude and rate stay right and valid."""
-    dead = FaultConfig(unit="gyro.z", kind="dead", at_s=ONSET_S)
+    dead = make_fault(unit="gyro.z", kind="dead", at_s=ONSET_S)
     moments, detector = record(vary(BASE, rate_hz=rate_hz, faults=(dead,), star_latency_s=0.1, manoeuvre_every_s=40.0))
     lost = next(m.tick for m in moments if not m.sensors.gyro_valid[2])
     replaced = next(m.tick for m in moments if m.detection.gyro_state[2] >= ALARM)
@@ -107,7 +107,7 @@ def test_a_dead_axis_is_replaced_at_once(rate_hz: int) -> None:
 
 def test_star_tracker_and_gyro_both_lost_asks_for_safe_mode() -> None:
     """Drift first, then no stars: the gyro-less rate coasts on the wheels for 30 s, then safe mode is asked for."""
-    blind = FaultConfig(unit="star_tracker", kind="dropout", at_s=70.0)
+    blind = make_fault(unit="star_tracker", kind="dropout", at_s=70.0)
     moments, _ = record(vary(BASE, duration_s=115.0, faults=(drift("gyro.x", 0.01), blind), manoeuvre_every_s=0.0))
     asked = next(m.t_s for m in moments if m.detection.request_safe)
     assert asked == pytest.approx(100.0, abs=1.0)
@@ -118,7 +118,7 @@ def test_star_tracker_and_gyro_both_lost_asks_for_safe_mode() -> None:
 
 def test_without_stars_the_observer_finds_the_drift() -> None:
     """Blind from 40 s on, a drift of 0.01 rad/s at 60 s is found by bounds and torque observer, on its axis only."""
-    blind = FaultConfig(unit="star_tracker", kind="dropout", at_s=40.0)
+    blind = make_fault(unit="star_tracker", kind="dropout", at_s=40.0)
     for axis, unit in enumerate(fdi_campaign.AXES):
         watch = Watch(ONSET_S, (axis,))
         settings = vary(

@@ -22,7 +22,7 @@ from tools.config.scenario_files import find_scenario
 from tools.log.mcap_reader import read_run
 from tools.log.mcap_writer import McapWriter
 from tools.run import processes, runner
-from tools.run.bench import run_in_process
+from tools.run.in_process import run_in_process
 
 LONG = ["--set", "duration_s=3000", "--set", "expect=[]", "--no-plot", "--json", "-q"]
 MODULES = {"plant": "plant_server", "fsw": "fsw", "recorder": "tools.run.recorder_process"}

@@ -33,7 +33,7 @@ from bus.wire.frames import EFF_FLAG, ERR_FLAG, FRAME, RTR_FLAG
 from tools.config.loader import load_scenario
 from tools.config.scenario_files import find_scenario
 from tools.log.mcap_reader import Run, read_run
-from tools.run.bench import run_in_process
+from tools.run.in_process import run_in_process
 from tools.vcan import kernel, packages
 
 ROOT = Path(tools.__file__).resolve().parent.parent

@@ -17,7 +17,8 @@ from fsw.config import FswConfig
 from fsw.controllers.variable_structure import VariableStructureConfig
 from fsw.observers.ilo import IloConfig
 from fsw.observers.none import NoObserverConfig
-from plant_server.config import FaultConfig, PlantConfig
+from plant_server.config import PlantConfig
+from plant_server.faults import make_fault
 from tools.config import load_scenario, load_text
 from tools.config.check import check
 from tools.config.expect import Settles, check_signal
@@ -56,7 +57,7 @@ def test_mappings_merge_and_lists_replace(child: Path) -> None:
     scenario = load_scenario(child).scenario
     assert isinstance(scenario.fsw.observer, IloConfig)
     assert (scenario.fsw.observer.k2, scenario.fsw.observer.k3) == (50.0, 21.0)
-    assert scenario.faults == (FaultConfig(unit="wheel.1", kind="dead", at_s=1.0),)
+    assert scenario.faults == (make_fault(unit="wheel.1", kind="dead", at_s=1.0),)
     assert (scenario.name, scenario.duration_s) == ("child", 300.0)
 
 
@@ -143,7 +144,7 @@ def test_a_later_override_sees_the_kind_that_an_earlier_one_chose() -> None:
 def test_a_fault_keeps_its_time_when_its_kind_is_overridden() -> None:
     words = ["faults[0].kind=bias", "faults[0].effectiveness=null", "faults[0].torque_nm=0.01"]
     fault = load_scenario(ZHANG, words).scenario.faults[0]
-    assert (fault.unit, fault.kind, fault.at_s, fault.torque_nm) == ("wheel.1", "bias", 30.0, 0.01)
+    assert (fault.unit, fault.kind, fault.at_s, fault.magnitudes) == ("wheel.1", "bias", 30.0, {"torque_nm": 0.01})
 
 
 @pytest.mark.parametrize(
@@ -179,7 +180,7 @@ def test_each_side_is_told_its_own_part_only() -> None:
     """The flight software must not learn of the faults or of the true inertia."""
     resolved = load_scenario(ZHANG)
     plant, fsw = json.loads(resolved.plant_json()), json.loads(resolved.fsw_json("hub:/tmp/x"))
-    assert sorted(plant) == ["faults", "plant", "run", "target_q"]
+    assert sorted(plant) == ["faults", "plant", "run"]
     assert sorted(fsw) == ["fsw", "run"]
     assert "wheel.1" not in resolved.fsw_json()
     assert build(PlantConfig, plant["plant"], "x") == resolved.scenario.plant
@@ -229,13 +230,13 @@ def test_published_scenario_has_the_published_numbers() -> None:
         ("x", 10, 12), ("y", 8, 15), ("z", 5, 8), ("skew", 6, 10)
     ]  # fmt: skip
     assert {w.max_torque_nm for w in plant.wheels} == {0.1} == {fsw.model.wheel_max_torque_nm}
-    assert {(f.unit, f.kind, f.effectiveness, f.torque_nm, f.at_s, f.until_s) for f in scenario.faults} == {
-        ("wheel.1", "loss", 0.6, None, 30, 100),
-        ("wheel.1", "loss", 0.4, None, 100, None),
-        ("wheel.2", "loss", 0.5, None, 10, 50),
-        ("wheel.3", "stuck_torque", None, 0.015, 20, 40),
-        ("wheel.4", "dead", None, None, 30, None),
-    }
+    assert [(f.unit, f.kind, f.magnitudes, f.at_s, f.until_s) for f in scenario.faults] == [
+        ("wheel.1", "loss", {"effectiveness": 0.6}, 30, 100),
+        ("wheel.1", "loss", {"effectiveness": 0.4}, 100, None),
+        ("wheel.2", "loss", {"effectiveness": 0.5}, 10, 50),
+        ("wheel.3", "stuck_torque", {"torque_nm": 0.015}, 20, 40),
+        ("wheel.4", "dead", {}, 30, None),
+    ]
     observer = fsw.observer
     assert isinstance(observer, IloConfig)
     assert (observer.k1, observer.k2, observer.k3, observer.lambda_nm_s) == (0.15, 98, 21, 0.1)

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from fsw.gyro_fdi.wheel_monitor import WheelMonitor
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
@@ -15,7 +16,6 @@ from fsw.gyro_fdi.momentum_filter import MomentumFilter
 from fsw.gyro_fdi.parity import Frame, Healthy, Parity, interpolate
 from fsw.gyro_fdi.plausibility import Plausibility, bound_acceleration
 from fsw.gyro_fdi.recovery import AxisRecovery, AxisState
-from fsw.gyro_fdi.wheel_monitor import WheelMonitor
 
 J = ((45.0, 3.0, 2.0), (3.0, 38.0, -1.5), (2.0, -1.5, 50.0))
 TICK_S = 0.05

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from bus.attitude import rotate
-from plant_server.config import BodyConfig, FaultConfig, GyroConfig, PlantConfig, WheelConfig
-from plant_server.faults import FaultTimeline
-from plant_server.gyro import PRESETS, Gyro
+from plant_server.config import BodyConfig, GyroConfig, PlantConfig, WheelConfig
+from plant_server.faults import FaultTimeline, make_fault
+from plant_server.gyro.presets import PRESETS
+from plant_server.gyro.triad import Gyro
 from plant_server.noise import open_normals, open_stream, open_uniforms
 from plant_server.plant import Plant
 
@@ -41,7 +42,7 @@ def read(gyro, ticks, rate=RATE, dt_s=DT_S, start=0):
 
 
 def gyro_fault(kind, at_s=1.0, until_s=None, unit="gyro.y", **magnitudes):
-    return FaultConfig(unit=unit, kind=kind, at_s=at_s, until_s=until_s, **magnitudes)
+    return make_fault(unit=unit, kind=kind, at_s=at_s, until_s=until_s, **magnitudes)
 
 
 # -- without faults ------------------------------------------------------------------------------------------------
@@ -272,6 +273,13 @@ def test_stuck_freezes_at_the_last_output_to_the_bit():
     assert len(set(readings[20:40, 0])) > 10
 
 
+def test_an_ideal_gyro_that_gets_stuck_holds_the_sample_before():
+    """Not the rate at its onset: the output of the tick before it, to the bit; a quantised one goes on from its rest."""
+    gyro = make_gyro([gyro_fault("stuck", unit="gyro.x", at_s=2 * DT_S)])
+    rates = [gyro.sample((rate, 0.0, 0.0), k, k * DT_S)[0] for k, rate in enumerate([0.0, 0.5, 0.25, 0.125])]
+    assert rates == [0.0, 0.5, 0.5, 0.5]
+
+
 def test_dead_is_silence_and_intermittent_is_silence_by_chance():
     """Dead: no frame at all. Intermittent: the given share of frames is missing (5 standard errors)."""
     _, silent, _ = read(make_gyro([gyro_fault("dead", until_s=2.0)]), 60)
@@ -323,11 +331,11 @@ def test_a_wheel_fault_does_not_touch_the_gyros_noise():
         plant = Plant(config, faults, DT_S, 9)
         out = []
         for _ in range(100):
-            before = np.array(plant.truth()[4:7])
+            before = np.array(plant.truth().omega_bi_b_rad_s)
             plant.step((0.05, 0.0, 0.0, 0.0))
-            after = np.array(plant.truth()[4:7])
+            after = np.array(plant.truth().omega_bi_b_rad_s)
             out.append(np.array(plant.sample().gyro_rate_rad_s) - 0.5 * (before + after))
         return np.array(out)
 
-    faulty = errors((FaultConfig(unit="wheel.1", kind="loss", effectiveness=0.3, at_s=1.0),))
+    faulty = errors((make_fault(unit="wheel.1", kind="loss", effectiveness=0.3, at_s=1.0),))
     np.testing.assert_allclose(errors(()), faulty, atol=1e-8)  # sigma is 1.3e-4; the rest is the trapezium's error

@@ -9,8 +9,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from bus.attitude import IDENTITY, exp_map, normalise
-from plant_server.config import ExclusionConfig, FaultConfig, StarTrackerConfig
-from plant_server.faults import FaultTimeline
+from plant_server.config import ExclusionConfig, StarTrackerConfig
+from plant_server.faults import FaultTimeline, make_fault
 from plant_server.star_tracker import NOT_VALID, StarTracker
 
 STILL = (0.0, 0.0, 0.0)
@@ -80,7 +80,7 @@ def test_dropout_loses_frames_without_shifting_the_noise():
     healthy = run(make_tracker(rate_hz=100.0, noise_arcsec=noise), 4000)
     gone = run(
         make_tracker(
-            [FaultConfig(unit="star_tracker", kind="dropout", at_s=10.0, until_s=20.0)],
+            [make_fault(unit="star_tracker", kind="dropout", at_s=10.0, until_s=20.0)],
             rate_hz=100.0, noise_arcsec=noise,
         ),
         4000,
@@ -90,7 +90,7 @@ def test_dropout_loses_frames_without_shifting_the_noise():
     assert gone[2000:] == healthy[2000:]
     some = run(
         make_tracker(
-            [FaultConfig(unit="star_tracker", kind="dropout", at_s=0.0, probability=0.7)],
+            [make_fault(unit="star_tracker", kind="dropout", at_s=0.0, probability=0.7)],
             rate_hz=100.0, noise_arcsec=noise,
         ),
         4000,

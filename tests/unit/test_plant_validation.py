@@ -151,7 +151,7 @@ def test_a_gravity_gradient_librates_at_its_natural_frequency():
     for k in range(1, 1301):
         plant.step((0.0,) * 4)
         if k % 100 == 0:
-            q = plant.truth()[:4]
+            q = plant.truth().q_ib
             pitch = 2.0 * math.atan2(q[3], q[0]) - n * k
             assert pitch == pytest.approx(start * math.cos(frequency * k), abs=2e-3 * start)
 
@@ -162,5 +162,5 @@ def test_an_external_torque_changes_momentum_by_its_impulse():
     plant = Plant(make_config(((40, 0, 0), (0, 40, 0), (0, 0, 50)), torques=(torque,)), (), 0.1, 0)
     for _ in range(600):
         plant.step((0.0,) * 4)
-    np.testing.assert_allclose(plant.truth()[8:11], (0.0, 0.0, 0.6), atol=1e-12)
-    np.testing.assert_allclose(plant.truth()[29:32], (0.0, 0.0, 1e-2), atol=1e-17)
+    np.testing.assert_allclose(plant.truth().h_total_i_nms, (0.0, 0.0, 0.6), atol=1e-12)
+    np.testing.assert_allclose(plant.truth().tau_ext_b_nm, (0.0, 0.0, 1e-2), atol=1e-17)

@@ -7,13 +7,13 @@ import math
 import numpy as np
 import pytest
 
-from plant_server.config import BodyConfig, FaultConfig, PlantConfig, WheelConfig
+from plant_server.config import BodyConfig, PlantConfig, WheelConfig
+from plant_server.faults import make_fault
 from plant_server.plant import Plant
 from plant_server.wheels.axes import nominal_axis, true_axis
 
 MOUNTS = ("x", "y", "z", "skew")
 HEAVY = ((1e9, 0.0, 0.0), (0.0, 1e9, 0.0), (0.0, 0.0, 1e9))  # does not turn, so that rotor motion is scalar
-TORQUE = slice(15, 19)  # of the truth
 TICK_S = 0.01
 
 
@@ -72,7 +72,7 @@ def test_torque_spins_the_rotor_the_other_way_and_is_limited():
     for _ in range(100):
         plant.step((0.05, -0.05, 0.5, -0.5))
     np.testing.assert_allclose(speed(plant), np.array([-0.05, 0.05, -0.1, 0.1]) / 0.02, rtol=1e-9)
-    np.testing.assert_allclose(plant.truth()[TORQUE], (0.05, -0.05, 0.1, -0.1))
+    np.testing.assert_allclose(plant.truth().tau_rw_true_nm, (0.05, -0.05, 0.1, -0.1))
 
 
 def test_motor_lag_is_the_exact_first_order_response():
@@ -99,7 +99,7 @@ def test_no_torque_beyond_the_speed_limit():
     assert samples.wheel_status == (3, 3, 0, 3)
     assert (0, 0, 0, 0) in statuses
     assert samples.wheel_speed_rad_s[0] == pytest.approx(-5.0, abs=0.11)  # within one step's worth of the limit
-    np.testing.assert_array_equal(plant.truth()[TORQUE], 0.0)
+    np.testing.assert_array_equal(plant.truth().tau_rw_true_nm, 0.0)
     plant.step((-0.1, 0.1, 0.0, 0.0))
     after = plant.sample()
     assert abs(after.wheel_speed_rad_s[0]) < abs(samples.wheel_speed_rad_s[0])
@@ -137,7 +137,7 @@ def test_current_is_motor_torque_over_motor_constant():
     plant = make_plant(motor_constant_nm_a=0.04, viscous_nm_s=1e-4, speed_rad_s=50.0, max_torque_nm=0.1)
     plant.step((0.02, -0.06, 0.3, 0.0))
     np.testing.assert_allclose(plant.sample().wheel_current_a, (0.5, -1.5, 2.5, 0.0), rtol=1e-12)
-    assert plant.truth()[TORQUE][3] == pytest.approx(50.0 * 1e-4, rel=1e-9)
+    assert plant.truth().tau_rw_true_nm[3] == pytest.approx(50.0 * 1e-4, rel=1e-9)
 
 
 def test_a_wheel_without_command_gives_no_torque_and_says_so():
@@ -147,7 +147,7 @@ def test_a_wheel_without_command_gives_no_torque_and_says_so():
     plant.step((0.05, 0.05, 0.05, 0.05))
     plant.step((0.05, None, 0.05, None))
     assert plant.sample().wheel_status == (0, 2, 0, 2)
-    np.testing.assert_array_equal(plant.truth()[TORQUE], (0.05, 0.0, 0.05, 0.0))
+    np.testing.assert_array_equal(plant.truth().tau_rw_true_nm, (0.05, 0.0, 0.05, 0.0))
 
 
 def test_tachometer_noise_has_its_sigma_and_a_stream_per_wheel():
@@ -164,7 +164,7 @@ def test_tachometer_noise_has_its_sigma_and_a_stream_per_wheel():
 
 
 def wheel_fault(kind, at_s, until_s=None, **magnitudes):
-    return FaultConfig(unit="wheel.1", kind=kind, at_s=at_s, until_s=until_s, **magnitudes)
+    return make_fault(unit="wheel.1", kind=kind, at_s=at_s, until_s=until_s, **magnitudes)
 
 
 @pytest.mark.parametrize(
@@ -189,8 +189,8 @@ def test_faults_compose_in_the_order_of_onset(faults, expected):
     for _ in range(5):
         plant.step((0.08, 0.0, 0.0, 0.0))
     truth = plant.truth()
-    assert truth[15] == pytest.approx(expected, abs=1e-15)
-    assert truth[26] == pytest.approx(expected - 0.08, abs=1e-15)  # tau_fault about x
+    assert truth.tau_rw_true_nm[0] == pytest.approx(expected, abs=1e-15)
+    assert truth.tau_fault_b_nm[0] == pytest.approx(expected - 0.08, abs=1e-15)  # tau_fault about x
 
 
 def test_a_fault_rises_linearly_and_ends():
@@ -200,7 +200,7 @@ def test_a_fault_rises_linearly_and_ends():
         plant.step((0.0,) * 4)
         t = (k + 0.5) * 0.1
         expected = 0.0 if not 1.0 < t < 3.0 else 0.04 * min(1.0, t - 1.0)
-        assert plant.truth()[15] == pytest.approx(expected, abs=1e-12)
+        assert plant.truth().tau_rw_true_nm[0] == pytest.approx(expected, abs=1e-12)
 
 
 def test_an_onset_between_ticks_bites_within_the_tick():
@@ -211,8 +211,10 @@ def test_an_onset_between_ticks_bites_within_the_tick():
         events += plant.sample().events
         plant.step((0.0,) * 4)
         if plant.tick == 3:
-            assert plant.truth()[15] == pytest.approx(0.035, abs=1e-15)
-    assert [(e.tick, e.t_s, e.unit, e.active) for e in events] == [(2, pytest.approx(0.23), "wheel.1", True)]
+            assert plant.truth().tau_rw_true_nm[0] == pytest.approx(0.035, abs=1e-15)
+    assert [(e.tick, e.t_s, e.fault.unit, e.phase) for e in events if e.phase == "onset"] == [
+        (2, pytest.approx(0.23), "wheel.1", "onset")
+    ]
 
 
 def test_silent_stops_the_telemetry_only():
@@ -222,7 +224,7 @@ def test_silent_stops_the_telemetry_only():
     for _ in range(6):
         seen.append(plant.sample().wheel_silent)
         plant.step((0.05, 0.0, 0.0, 0.0))
-        assert plant.truth()[15] == 0.05
+        assert plant.truth().tau_rw_true_nm[0] == 0.05
     quiet = (True, False, False, False)
     heard = (False,) * 4
     assert seen == [heard, heard, quiet, quiet, heard, heard]

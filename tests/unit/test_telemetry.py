@@ -14,7 +14,7 @@ import pytest
 
 from bus.errors import ConfigError, RecordError, UsageError
 from bus.telemetry import link as telemetry
-from bus.telemetry.events import format_event, format_fault, format_transform
+from bus.telemetry.events import FAULTS, format_event, format_fault, format_transform
 from bus.telemetry.link import (
     CLOSE,
     HEADER,
@@ -349,8 +349,14 @@ def test_json_records_are_what_viewers_expect() -> None:
     assert json.loads(format_event(0, 2, "", ""))["level"] == 2
     with pytest.raises(UsageError, match="debug, info, warning, error, fatal"):
         format_event(0, "loud", "", "")
-    assert "value" not in json.loads(format_fault(0, 5, "rw2", "loss", "onset", float("nan")))
-    assert json.loads(format_fault(0, 5, "rw2", "loss", "onset", 0.4))["value"] == 0.4
+    assert "value" not in json.loads(format_fault(0, 5, "wheel.2", "loss", "onset", float("nan")))
+    record = json.loads(format_fault(0, 5, "wheel.2", "loss", "effect", 0.4, "text", id="a", number=3, definition="{}"))
+    assert record.pop("timestamp") == {"sec": 0, "nsec": 0}
+    assert record == {
+        "id": "a", "number": 3, "unit": "wheel.2", "fault": "loss", "phase": "effect", "tick": 5, "value": 0.4,
+        "definition": "{}", "message": "text",
+    }  # fmt: skip
+    assert {*record, "timestamp"} == set(FAULTS.properties)
     transform = json.loads(format_transform(0, "inertial", "body", (1.0, 2.0, 3.0), (0.5, 0.1, 0.2, 0.3)))
     assert transform["rotation"] == {"w": 0.5, "x": 0.1, "y": 0.2, "z": 0.3}
     with pytest.raises(ValueError, match="JSON"):

@@ -8,9 +8,11 @@ import typing
 from typing import Any, Literal
 
 from bus.settings import NOTHING, branches_of, fields_of, limits_of, plain, strip_annotations
-from plant_server.faults import CATALOGUE, UNITS
+from plant_server.faults import PROFILES, UNITS, Fault
+from plant_server.faults.fault import FaultKeys
 from tools.config.comments import comments_of, summary_of
 from tools.config.expect import SIGNAL_FUNCTIONS
+from tools.config.fault_reference import format_kinds
 from tools.config.scenario import Scenario
 from tools.config.schema import ROOT, find_unit
 
@@ -34,19 +36,22 @@ def format_reference() -> str:
 
 
 def format_catalogue() -> str:
-    """Table of every kind of fault: where it can be, what it does, which magnitudes it takes."""
-    lines = ["### Kinds of fault", "", f"Units: {', '.join(f'`{unit}`' for unit in UNITS)}.", ""]
-    lines += ["| unit | kind | needs | may have | what happens |", "|---|---|---|---|---|"]
-    for family, kinds in CATALOGUE.items():
-        for name, kind in kinds.items():
-            needs = ", ".join(f"`{key}`" for key in kind.needs)
-            may = ", ".join(f"`{key}` (left out: {meaning})" for key, meaning in kind.may)
-            lines.append(f"| {family} | `{name}` | {needs} | {may} | {kind.meaning} |")
-    return "\n".join(lines) + "\n"
+    """Profiles and kinds of fault: the keys that a fault has beside those of every fault."""
+    profiles = "".join(
+        f"| `{name}` | {', '.join(f'`{key}`' for key in fields_of(cls))} | {summary_of(cls)} |\n"
+        for name, cls in PROFILES.items()
+    )
+    return (
+        "### Profiles of faults\n\n`profile` may be left out: a key of one profile alone says which; else it is `step`.\n\n"
+        f"| `profile` | keys | how the fault comes on |\n|---|---|---|\n{profiles}\n"
+        f"### Kinds of fault\n\nUnits: {', '.join(f'`{unit}`' for unit in UNITS)}.\n\n{format_kinds()}"
+    )
 
 
 def walk_classes(cls: type, path: str) -> list[tuple[str, type]]:
     """Every settings class under one, depth first, with the key path that leads to it."""
+    if cls is Fault:  # its other keys are those of its profile and its kind, see `format_catalogue`
+        return [(path, FaultKeys)]
     found: list[tuple[str, type]] = [(path, cls)]
     for name, (kind, _) in fields_of(cls).items():
         for suffix, member in _classes_in(kind):

@@ -12,7 +12,8 @@ from bus.run import BusConfig, ClockConfig, run_hash
 from bus.settings import plain
 from bus.units import Ge, Gt, Seconds
 from fsw.config import FswConfig
-from plant_server.config import FaultConfig, PlantConfig
+from plant_server.config import PlantConfig
+from plant_server.faults import Fault
 from tools.config.expect import Expectation
 from tools.config.findings import Source
 
@@ -29,7 +30,7 @@ class Scenario:
     clock: ClockConfig = field(default_factory=ClockConfig)
     bus: BusConfig = field(default_factory=BusConfig)
     plant: PlantConfig
-    faults: tuple[FaultConfig, ...] = ()  # each must take effect, or the run fails
+    faults: tuple[Fault, ...] = ()  # each must take effect, or the run fails
     fsw: FswConfig
     expect: tuple[Expectation, ...] = ()  # all must hold for the run to pass
 
@@ -82,12 +83,11 @@ class Resolved:
         }
 
     def plant_json(self, address: str | None = None) -> str:
-        """What the plant's process gets: run, plant, faults, and the target attitude (only to log the true error)."""
+        """What the plant's process gets: run, plant, faults."""
         part = {
             "run": self.run_dict(address),
             "plant": plain(self.scenario.plant),
             "faults": plain(self.scenario.faults),
-            "target_q": plain(self.scenario.fsw.target_q),
         }
         return json.dumps(part, allow_nan=False)
 

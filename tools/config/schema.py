@@ -17,12 +17,14 @@ from typing import Any, Literal, Union
 from annotated_types import Ge, Gt, Le, Lt
 
 from bus.settings import NOTHING, fields_of, plain, strip_annotations, unit_of
-from plant_server.faults import CATALOGUE, UNITS
+from plant_server.faults import PROFILES, Fault
 from tools.config.comments import comments_of, summary_of
+from tools.config.fault_reference import UNITS_OF, keys_of, list_variants
 from tools.config.scenario import Scenario
 
 ROOT = Path(__file__).resolve().parents[2]
 SCHEMA_FILE = ROOT / "scenarios" / "scenario.schema.json"
+PLANT_PAGE = ROOT / "docs" / "plant.md"
 LIMIT_WORDS = {Gt: "exclusiveMinimum", Ge: "minimum", Lt: "exclusiveMaximum", Le: "maximum"}
 SCALARS = {str: "string", float: "number", int: "integer", bool: "boolean"}
 
@@ -35,9 +37,6 @@ def make_schema() -> dict[str, Any]:
         "type": "string",
         "description": "scenario that this one changes, relative to this file: mappings merge, lists replace",
     }
-    kinds = dict.fromkeys(kind for family in CATALOGUE.values() for kind in family)
-    definitions["FaultConfig"]["properties"]["unit"]["enum"] = list(UNITS)
-    definitions["FaultConfig"]["properties"]["kind"]["enum"] = list(kinds)
     required = [name for name, (_, default) in fields_of(Scenario).items() if default is NOTHING]
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
@@ -55,22 +54,43 @@ def format_schema() -> str:
 
 
 def _describe_class(cls: type, definitions: dict[str, Any]) -> dict[str, Any]:
-    comments = comments_of(cls)
-    properties = {}
-    for name, (kind, default) in fields_of(cls).items():
-        item = _describe(kind, definitions)
-        words = [comments.get(name, ""), f"[{unit}]" if (unit := find_unit(kind)) else ""]
-        if text := " ".join(word for word in words if word):
-            item = {**item, "description": text}
-        if default is not NOTHING and default is not None and not dataclasses.is_dataclass(default):
-            item = {**item, "default": plain(default)}
-        properties[name] = item
+    properties = {
+        name: _describe_key(cls, name, kind, default, definitions) for name, (kind, default) in fields_of(cls).items()
+    }
     return {
         "type": "object",
         "description": summary_of(cls),
         "properties": properties,
         "additionalProperties": False,
     }
+
+
+def _describe_key(cls: type, name: str, kind: Any, default: Any, definitions: dict[str, Any]) -> dict[str, Any]:
+    item = _describe(kind, definitions)
+    words = [comments_of(cls).get(name, ""), f"[{unit}]" if (unit := find_unit(kind)) else ""]
+    if text := " ".join(word for word in words if word):
+        item = {**item, "description": text}
+    if default is not NOTHING and default is not None and not dataclasses.is_dataclass(default):
+        item = {**item, "default": plain(default)}
+    return item
+
+
+def _describe_faults(definitions: dict[str, Any]) -> dict[str, Any]:
+    """A fault: one form for each kind, made from the register of kinds."""
+    forms = []
+    for family, cls in list_variants():
+        name = f"fault.{family}.{cls.kind}"
+        properties: dict[str, Any] = {"unit": {"enum": list(UNITS_OF[family])}, "kind": {"const": cls.kind}}
+        if cls.rises:
+            properties["profile"] = {"enum": list(PROFILES)}
+        properties |= {
+            key: _describe_key(source, key, kind, default, definitions) for source, key, kind, default in keys_of(cls)
+        }
+        definitions[name] = {
+            "type": "object", "description": summary_of(cls), "properties": properties, "additionalProperties": False,
+        }  # fmt: skip
+        forms.append({"$ref": f"#/$defs/{name}"})
+    return {"anyOf": forms}
 
 
 def _describe(kind: Any, definitions: dict[str, Any]) -> dict[str, Any]:
@@ -80,6 +100,8 @@ def _describe(kind: Any, definitions: dict[str, Any]) -> dict[str, Any]:
         return members[0] if len(members) == 1 else {"anyOf": members}
     if kind is type(None):
         return {"type": "null"}
+    if kind is Fault:
+        return _describe_faults(definitions)
     if dataclasses.is_dataclass(kind):
         name = typing.cast(type, kind).__name__
         if name not in definitions:
@@ -122,12 +144,15 @@ def find_unit(kind: Any) -> str:
 
 def main() -> int:
     """Write schema and reference; return the exit code."""
+    from tools.config.fault_reference import update_plant_page
     from tools.config.reference import REFERENCE_FILE, update_reference
 
     SCHEMA_FILE.write_text(format_schema(), encoding="utf-8")
     print(SCHEMA_FILE)
     REFERENCE_FILE.write_text(update_reference(REFERENCE_FILE.read_text(encoding="utf-8")), encoding="utf-8")
     print(REFERENCE_FILE)
+    PLANT_PAGE.write_text(update_plant_page(PLANT_PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    print(PLANT_PAGE)
     return 0
 
 

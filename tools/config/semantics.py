@@ -15,8 +15,8 @@ from typing import Any
 from bus.errors import BusLoadError
 from bus.icd.load import check_load
 from bus.settings import NOTHING, KeyPath, Problem, Reading, fields_of, strip_annotations
-from plant_server.config import FaultConfig, PlantConfig
-from plant_server.faults import check_fault
+from plant_server.config import PlantConfig
+from plant_server.faults import explain_times, fault_ids
 from plant_server.validation import explain_inertia, validate
 from tools.config.expect import Expectation, check_expectation
 
@@ -127,16 +127,25 @@ def check_model(parts: dict[KeyPath, Any]) -> Problems:
 
 
 def check_faults(parts: dict[KeyPath, Any]) -> Problems:
-    duration_s = parts.get(("duration_s",))
-    for index in range(_length(parts, "faults")):
-        fault: FaultConfig | None = parts.get(("faults", index))
-        if fault is None:
-            continue
-        if duration_s is not None and fault.at_s >= duration_s:
-            word = f"{fault.at_s} s is not before the end of the run, {duration_s} s: the fault would never take effect"
-            yield Problem(("faults", index, "at_s"), word)
-        for problem in check_fault(fault):
-            yield Problem(("faults", index, *problem.path), problem.message, problem.at_key)
+    """What is wrong between the keys of a fault, with the length of the run, and on this plant."""
+    duration_s, plant = parts.get(("duration_s",)), parts.get(("plant",))
+    count = _length(parts, "faults")
+    for index in range(count):
+        at = ("faults", index)
+        at_s, until_s, fault = parts.get((*at, "at_s")), parts.get((*at, "until_s")), parts.get(at)
+        if at_s is not None and duration_s is not None and at_s >= duration_s:
+            word = f"{at_s} s is not before the end of the run, {duration_s} s: the fault would never take effect"
+            yield Problem((*at, "at_s"), word)
+        if at_s is not None and (late := explain_times(at_s, until_s)):
+            yield Problem((*at, "until_s"), late)
+        for problem in fault.check(plant) if fault is not None else ():
+            yield Problem((*at, *problem.path), problem.message, problem.at_key)
+    faults = [fault for index in range(count) if (fault := parts.get(("faults", index))) is not None]
+    names = fault_ids(faults) if len(faults) == count else ()
+    for index, name in enumerate(names):
+        if name in names[:index]:
+            word = f'"{name}" is the id of faults[{names.index(name)}] too; ids are unique'
+            yield Problem(("faults", index, "id"), word)
 
 
 def check_expectations(parts: dict[KeyPath, Any]) -> Problems:

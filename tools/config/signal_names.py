@@ -15,7 +15,7 @@ OPEN_TOPICS = ("fsw.law", "fsw.detector", "fsw.estimator", "fsw.observer_state",
 def list_signals() -> dict[str, tuple[str, ...]]:
     """Fields of every topic that all runs log, by the topic's name as expressions write it: truth.attitude."""
     from fsw.telemetry import CONTROL_TOPICS, TICK_TOPICS
-    from plant_server.plant import TRUTH_FIELDS
+    from plant_server.truth import TRUTH_FIELDS
 
     signals = {f"truth.{group}": tuple(field[0] for field in fields) for group, fields in TRUTH_FIELDS.items()}
     for topic in (*TICK_TOPICS, *CONTROL_TOPICS):

@@ -24,7 +24,7 @@ import numpy as np
 
 from fsw.gyro_fdi.classification import FaultKind
 from fsw.gyro_fdi.practical import PracticalDetector
-from plant_server.config import FaultConfig
+from plant_server.faults import make_fault
 from tools.design.fdi_flight import WHEEL_FAULTS, FlightSettings, Moment, fly, with_detector
 
 AXES = ("gyro.x", "gyro.y", "gyro.z")
@@ -110,7 +110,7 @@ def measure_delays(base: FlightSettings, runs: int, amplitude: float, all_axes: 
         axes = (0, 1, 2) if all_axes else (int(rng.integers(3)),)
         onset_s, sign = float(60.0 + 20.0 * rng.random()), float(rng.choice([-1.0, 1.0]))
         drift = tuple(
-            FaultConfig(unit=AXES[axis], kind="constant", at_s=onset_s, rate_rad_s=sign * amplitude) for axis in axes
+            make_fault(unit=AXES[axis], kind="constant", at_s=onset_s, rate_rad_s=sign * amplitude) for axis in axes
         )
         watch = Watch(onset_s, axes)
         fly(vary(base, seed=base.seed + run, duration_s=onset_s + wait_s, faults=(*WHEEL_FAULTS, *drift)), watch)
@@ -142,7 +142,7 @@ def judge_kind(base: FlightSettings, runs: int, amplitude: float, frequency: flo
     for run in range(runs):
         rng = np.random.default_rng([base.seed, run, 4])
         axis, onset_s = int(rng.integers(3)), float(60.0 + 20.0 * rng.random())
-        fault = FaultConfig(
+        fault = make_fault(
             unit=AXES[axis], kind="periodic" if frequency else "constant", at_s=onset_s, rate_rad_s=amplitude,
             frequency_rad_s=frequency or None,
         )  # fmt: skip
@@ -174,7 +174,7 @@ def check_separation(base: FlightSettings, runs: int) -> dict[str, Any]:
             worst[wheel] = max(worst[wheel], delay if math.isfinite(delay) else 0.0)
     crossed = 0
     for run in range(runs):
-        fault = FaultConfig(unit=AXES[run % 3], kind="constant", at_s=60.0, rate_rad_s=0.05)
+        fault = make_fault(unit=AXES[run % 3], kind="constant", at_s=60.0, rate_rad_s=0.05)
         watch = Watch(60.0, (run % 3,))
         fly(vary(base, seed=base.seed + run, duration_s=130.0, faults=(fault,), published_start=True), watch)
         crossed += sum(math.isfinite(t) for t in watch.wheel_alarm_s)
@@ -188,7 +188,7 @@ def check_separation(base: FlightSettings, runs: int) -> dict[str, Any]:
 def measure_coupling(base: FlightSettings, amplitude: float, recovery: str) -> dict[str, Any]:
     """Return what a constant drift on three axes does to observer, pointing and rate, recovery on or off."""
     onset_s = 150.0
-    faults = tuple(FaultConfig(unit=unit, kind="constant", at_s=onset_s, rate_rad_s=amplitude) for unit in AXES)
+    faults = tuple(make_fault(unit=unit, kind="constant", at_s=onset_s, rate_rad_s=amplitude) for unit in AXES)
     chosen = (*WHEEL_FAULTS, *faults) if amplitude else WHEEL_FAULTS
     settings = vary(base, duration_s=270.0, manoeuvre_every_s=0.0, published_start=True, faults=chosen)
     watch = Watch(onset_s, (0, 1, 2) if amplitude else ())

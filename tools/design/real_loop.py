@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import numpy as np
 
+from bus.attitude import angle_between, normalise
+from bus.units import DEG
+from plant_server.plant import Plant
+from plant_server.truth import Truth
 from tools.config.loader import load_scenario
 from tools.config.scenario_files import find_scenario
 from tools.run.bench import Bench
 
 LIMITS_DEG = (5.0, 1.0, 0.1, 0.01)
-ERROR_DEG = 7  # place of error_deg in Plant.expand(), see TRUTH_FIELDS
-FAULT_TORQUE = slice(26, 29)  # place of tau_fault_b_nm
 LAGGING = "[" + ", ".join(
     f"{{mount: {mount}, tilt_deg: {tilt}, clock_deg: {clock}, max_torque_nm: 0.1, torque_lag_s: 0.1}}"
     for mount, tilt, clock in (("x", 10, 12), ("y", 8, 15), ("z", 5, 8), ("skew", 6, 10))
@@ -38,14 +40,13 @@ def measure(scenario: str, overrides: list[str]) -> tuple[list[float | None], fl
     """Settling time for each limit [s], None where it does not settle; rms fault-torque error after 50 s [N m]."""
     resolved = load_scenario(find_scenario(scenario), [*overrides, "expect=[]"])
     bench = Bench(resolved)
-    tick_s = 1.0 / resolved.scenario.clock.tick_hz
+    tick_s, target = 1.0 / resolved.scenario.clock.tick_hz, normalise(resolved.scenario.fsw.target_q)
     errors, torque_errors = [], []
     for _ in range(resolved.ticks):
         bench.run(1)
-        server = bench.server
-        truth = server.plant.expand(server.snapshot)
-        errors.append(truth[ERROR_DEG])
-        torque_errors.append(np.subtract(bench.flight.tau_fault_hat_b_nm, truth[FAULT_TORQUE]))
+        truth = Truth.from_flat(Plant.flatten(bench.node.channel.snapshot))
+        errors.append(angle_between(target, truth.q_ib) / DEG)
+        torque_errors.append(np.subtract(bench.flight.tau_fault_hat_b_nm, truth.tau_fault_b_nm))
     error = np.array(errors)
     settled: list[float | None] = []
     for limit in LIMITS_DEG:

@@ -22,7 +22,7 @@ from bus.telemetry.link import Field, Link, PackRows, Row, TickPacker, Topic, pa
 from tools.config.loader import load_scenario
 from tools.config.scenario_files import find_scenario
 from tools.log import mcap_writer
-from tools.log.mcap_reader import parse_layout
+from tools.log.layout import parse_layout
 from tools.log.message_index import DATA_AT, walk_messages
 from tools.log.recorder import Recorder
 from tools.run.bench import Bench

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,18 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus.errors import RecordError
-from bus.telemetry.cdr import FRAMES_SCHEMA, PRIMITIVES, STAMP_TEXT
+from bus.telemetry.cdr import FRAMES_SCHEMA
 from bus.telemetry.events import EVENTS, FAULTS
+from tools.log.layout import parse_layout
 from tools.log.mcap_records import McapContent, read_content
 from tools.log.message_index import DATA_AT
 from tools.log.signal_decoder import decode_frames
 
 FRAME_DTYPE: Final = np.dtype([("t_ns", "<i8"), ("id", "<u4"), ("dlc", "u1"), ("data", "u1", (8,))])
 WIRE_DTYPE: Final = np.dtype([("id", "<u4"), ("dlc", "u1"), ("pad", "u1", (3,)), ("data", "u1", (8,))])
-FIELD_LINE: Final = re.compile(r"(\w+)(?:\[(\d+)\])?\s+(\w+)\s*(?:#\s*(?:\[([^\]]*)\])?.*)?")
-NUMPY_CODES: Final = {
-    "float64": "<f8", "uint64": "<u8", "uint32": "<u4", "int32": "<i4", "uint8": "u1", "bool": "?",
-}  # fmt: skip
 SEQUENCE_AT: Final = 11
 ENCAPSULATION_SIZE: Final = 4
 FRAMES_AT: Final = DATA_AT + ENCAPSULATION_SIZE + 12  # behind stamp and length
@@ -209,25 +205,3 @@ def _list_topics(content: McapContent) -> dict[str, TopicInfo]:
             units=json.loads(channel.metadata.get("units", "{}")),
         )
     return topics
-
-
-def parse_layout(schema: str, where: str) -> np.dtype[Any]:
-    """The numpy layout of a message of fixed size, CDR alignment included, from its ROS 2 .msg text.
-
-    Raises RecordError when the text has a field whose size is not fixed.
-    """
-    names, formats, offsets = ["stamp"], ["<i8"], [0]
-    offset = 8
-    lines = [line.strip() for line in schema.split("=" * 80)[0].splitlines()]
-    fields = [line for line in lines if line and not line.startswith("#") and line != STAMP_TEXT]
-    for line in fields:
-        match = FIELD_LINE.fullmatch(line)
-        if match is None or match[1] not in PRIMITIVES:
-            raise RecordError(f'{where}: "{line}" is not a field of fixed size, which is all that signals are made of')
-        size, count = PRIMITIVES[match[1]][1], int(match[2] or 1)
-        offset += -offset % size
-        names.append(match[3])
-        formats.append(NUMPY_CODES[match[1]] if match[2] is None else f"({count},){NUMPY_CODES[match[1]]}")
-        offsets.append(offset)
-        offset += size * count
-    return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": offset})

@@ -39,7 +39,7 @@ from mcap.records import (
 )
 
 from bus.errors import RecordError
-from tools.log.message_index import LayoutIndex
+from tools.log.message_index import LayoutIndex, Pairs
 
 Compression = Literal["zstd", "lz4", ""]
 
@@ -75,6 +75,9 @@ class McapWriter:
         self._compression = compression
         self._compress = choose_compressor(compression)
         self._layouts = LayoutIndex()
+        self.complete: Callable[[dict[int, Pairs], bytes], bytes] | None = (
+            None  # last hand on a chunk before it is packed
+        )
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
         self._chunks: list[ChunkIndex] = []
@@ -169,6 +172,8 @@ class McapWriter:
         unknown = table.keys() - self._channels.keys()
         if unknown:
             raise RecordError(f"telemetry on channels {sorted(unknown)}, which no process announced")
+        if self.complete is not None:
+            data = self.complete(table, data)
         packed = self._compress(data)
         name = self._compression.encode()
         crc = 0 if name else zlib.crc32(data)

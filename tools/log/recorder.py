@@ -23,6 +23,7 @@ from bus.errors import RecordError
 from bus.telemetry.events import EVENTS, FAULTS, JSON_TOPICS, format_event
 from bus.telemetry.link import MemoryLink
 from tools.log.mcap_writer import Compression, McapWriter
+from tools.log.pointing import PointingError
 
 CHUNK_BYTES: Final = 512 * 1024
 FLUSH_S: Final = 0.5
@@ -85,6 +86,8 @@ class Recorder:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._writer = McapWriter(path, compression=compression)
+        self._pointing = PointingError()
+        self._writer.complete = self._pointing.fill
         self._sources = {source: _Source() for source in sources}
         self._realtime = realtime
         self._clock = clock
@@ -120,6 +123,7 @@ class Recorder:
                     "source": str(source),
                 }
                 schema = (row["schema_name"], "ros2msg", row["schema"])
+                self._pointing.learn(row["channel"], row["topic"], row["schema"])
                 self._writer.add_channel(row["channel"], row["topic"], "cdr", schema, metadata)
 
     def write_ticks(self, source: int, ticks: list[int], t_ns: int, records: list[bytes]) -> None:
@@ -164,7 +168,7 @@ class Recorder:
         if count:
             places, rest = order[:count].tolist(), order[count:].tolist()
             with self._writing():
-                self._write_out([self._held[place] for place in places])
+                self._write_out([self._held[place] for place in places], [self._ticks[place] for place in places])
             self._ticks, self._origins, self._held = (
                 [column[place] for place in rest] for column in (self._ticks, self._origins, self._held)
             )
@@ -194,13 +198,15 @@ class Recorder:
                 self._deadline = min(self._deadline, now + PATIENCE_S)
         return int(np.searchsorted(keys, (horizon + 1) << 8))
 
-    def _write_out(self, parts: list[bytes]) -> None:
-        """Write chunks of about CHUNK_BYTES, without a small one at the end."""
+    def _write_out(self, parts: list[bytes], ticks: list[int]) -> None:
+        """Write chunks of about CHUNK_BYTES and of whole ticks, without a small one at the end."""
         ends = np.cumsum(np.fromiter(map(len, parts), np.int64, len(parts)))
         pieces = max(1, int(ends[-1]) // CHUNK_BYTES)
         cuts = np.searchsorted(ends, ends[-1] * np.arange(1, pieces) / pieces) + 1
-        for start, end in itertools.pairwise((0, *cuts.tolist(), len(parts))):
-            self._writer.write_chunk(parts[start:end])
+        whole = np.searchsorted(ticks, np.array(ticks)[np.minimum(cuts, len(ticks) - 1)])
+        for start, end in itertools.pairwise((0, *whole.tolist(), len(parts))):
+            if end > start:
+                self._writer.write_chunk(parts[start:end])
 
     def _file_json(self, source: int, state: _Source, tick: int) -> None:
         """File the waiting JSON objects at a tick of the source, behind what it has there already."""

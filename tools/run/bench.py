@@ -1,88 +1,212 @@
-"""Runs a scenario in one process: the same frames, encoded, checked and decoded, passed from hand to hand.
+"""A bench in Python: both sides of a scenario in one process, a tick at a time. The same frames, checks and bytes.
 
-The fastest way to run one, and the one for campaigns and tests. What it logs is what the two processes log.
+    from tools.run.bench import Bench
+
+    bench = Bench.open("zhang2018-flight", ["seed=7"], log="memory")
+    bench.step(1000)
+    bench.inject(unit="wheel.2", kind="loss", effectiveness=0.3)
+    bench.retarget("slew", target_q=[0.9, 0.1, 0.3, 0.3], max_rate_deg_s=0.3)
+    bench.run_to_end()
+    print(bench.truth.error_deg, bench.read("fsw.observer.tau_fault_hat_b_nm"))
+
+It is what `--clock inprocess` runs, and what tests, studies and campaigns use.
 """
 
 from __future__ import annotations
 
 import contextlib
-import time
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from types import TracebackType
+from typing import Any, Literal, Self
 
+from bus.attitude import angle_between
 from bus.clock import SystemClock
-from bus.errors import RecordError
+from bus.commands import Command
+from bus.errors import ConfigError, RecordError, UsageError
+from bus.settings import build
 from bus.telemetry.link import Link, TelemetryLink
+from bus.units import DEG
 from fsw.flight import Flight
-from fsw.guidance.timeline import make_command
+from fsw.guidance.timeline import PREFIX, make_command
 from fsw.node import FswNode
 from fsw.telemetry import SOURCE as FSW_SOURCE
-from plant_server.channel import PlantServer
+from plant_server.faults import Fault
+from plant_server.node import PlantNode
+from plant_server.pacing import Accept
 from plant_server.plant import Plant
-from plant_server.plant_log import PlantLog
 from plant_server.truth import SOURCE as PLANT_SOURCE
+from plant_server.truth import Truth
+from tools.config.loader import load_scenario
 from tools.config.scenario import Resolved
+from tools.config.scenario_files import find_scenario
+from tools.log.mcap_reader import Run, read_run
 from tools.log.recorder import Recorder
+from tools.run.bench_signals import read_signal
 from tools.run.provenance import describe_run, list_attachments
-from tools.run.runner import RunReport
+
+ORIGIN = "bench"
 
 
 class Bench:
-    """Both sides of a scenario in this process, one tick at a time."""
+    """Plant and flight software of one scenario, paced by whoever calls `step`."""
 
-    def __init__(self, resolved: Resolved, plant_link: Link | None = None, fsw_link: Link | None = None) -> None:
-        """plant_link, fsw_link: where telemetry goes; None: nowhere."""
+    def __init__(
+        self,
+        resolved: Resolved,
+        plant_link: Link | None = None,
+        fsw_link: Link | None = None,
+        log: Path | Literal["memory"] | None = None,
+    ) -> None:
+        """Put both sides at tick 0.
+
+        plant_link, fsw_link : where telemetry goes; None: to the log, or nowhere
+        log                  : a file that does not exist yet, "memory", or None
+        Raises ConfigError where the scenario cannot be flown, RecordError where the log cannot be written.
+        """
         scenario = resolved.scenario
-        self._tick_ns = 1_000_000_000 // scenario.clock.tick_hz
-        tick_s = self._tick_ns * 1e-9
-        plant = Plant(scenario.plant, scenario.faults, tick_s, scenario.seed, scenario.fsw.target_q)
-        self.server = PlantServer(plant, tick_s, resolved.run_hash)
+        self.resolved = resolved
+        self.ticks = resolved.ticks  # of the whole run
+        self.tick_ns = 1_000_000_000 // scenario.clock.tick_hz
+        self.tick_s = tick_s = self.tick_ns * 1e-9
+        plant = Plant(scenario.plant, scenario.faults, tick_s, scenario.seed)
         self.flight = Flight(scenario.fsw, tick_s, resolved.run_hash)
-        self._plant_log = PlantLog(self.server, plant_link or TelemetryLink(None, PLANT_SOURCE, False), self._tick_ns)
+        self._log_path, self._recorder = self._open_log(log)
+        if self._recorder is not None:
+            plant_link, fsw_link = self._recorder.link(PLANT_SOURCE), self._recorder.link(FSW_SOURCE)
+        self._links = [
+            plant_link or TelemetryLink(None, PLANT_SOURCE, False),
+            fsw_link or TelemetryLink(None, FSW_SOURCE, False),
+        ]
+        self.plant_node = PlantNode(plant, self._links[0], self.tick_ns, resolved.run_hash)
         timeline = [make_command(entry, tick_s) for entry in scenario.fsw.timeline]
-        fsw_link = fsw_link or TelemetryLink(None, FSW_SOURCE, False)
-        self.node = FswNode(self.flight, fsw_link, self._tick_ns, SystemClock(), timeline)
+        self.fsw_node = FswNode(self.flight, self._links[1], self.tick_ns, SystemClock(), timeline)
+        self._answer = b""
+        self._accept: Accept = self.plant_node.channel.accept
 
-    def run(self, ticks: int, on_progress: Callable[[int], None] | None = None) -> None:
+    @classmethod
+    def open(
+        cls, scenario: str | Path, overrides: Sequence[str] = (), log: Path | Literal["memory"] | None = None
+    ) -> Self:
+        """A bench for a scenario file or the name of one that ships, with `key.path=value` overrides applied."""
+        return cls(load_scenario(find_scenario(str(scenario)), overrides), log=log)
+
+    # -- moving ----------------------------------------------------------------------------------------------------
+
+    @property
+    def tick(self) -> int:
+        """The next tick to run; so many have been run."""
+        return self.plant_node.tick_number
+
+    @property
+    def t_s(self) -> float:
+        """Simulated time of the next tick [s]."""
+        return self.tick * self.tick_s
+
+    def step(self, ticks: int = 1, on_progress: Callable[[int], None] | None = None) -> Self:
         """Run that many ticks from where the bench stands."""
-        server, node, log = self.server, self.node, self._plant_log
-        answers: list[bytes] = []
-        for tick in range(server.tick, server.tick + ticks):
-            frames = server.announce()
-            answers.clear()
-            node.tick(tick, frames, answers.append)
-            server.accept(answers[0])
-            log.write(frames + answers[0])
-            server.advance()
-            if on_progress is not None and not tick % 100:
-                on_progress(tick)
+        tick, exchange = self.plant_node.tick, self._exchange
+        for number in range(self.tick, self.tick + ticks):
+            tick(exchange)
+            if on_progress is not None and not number % 100:
+                on_progress(number)
+        return self
 
+    def run_to_end(self, on_progress: Callable[[int], None] | None = None) -> Self:
+        """Run what is left of the scenario's duration, and finish the log."""
+        self.step(max(0, self.ticks - self.tick), on_progress)
+        self.close("done")
+        return self
 
-def run_in_process(resolved: Resolved, out_dir: Path, on_progress: Callable[[int], None]) -> RunReport:
-    """Run the scenario and log it; return how it ended. Raises RecordError when the log cannot be written."""
-    out_dir.mkdir(parents=True, exist_ok=True)
-    report = RunReport(out_dir / "run.mcap", 3)
-    started_s = time.monotonic()
-    recorder = Recorder(
-        report.log, metadata=describe_run(resolved, "in process"), attachments=list_attachments(resolved)
-    )
-    plant_link, fsw_link = recorder.link(PLANT_SOURCE), recorder.link(FSW_SOURCE)
-    reason = "failed"
-    try:
-        bench = Bench(resolved, plant_link, fsw_link)
-        report.first_cycle_s = time.monotonic() - started_s
-        bench.run(resolved.ticks, on_progress)
-        plant_link.close("done")
-        fsw_link.close("done")
-        report.exit_code, report.ticks = 0, resolved.ticks
-    except KeyboardInterrupt:
-        reason = "interrupted"
-        report.exit_code = 130
-        report.problems.append("interrupted; the log is closed properly")
-    finally:  # the last ticks before a failure are those that tell of it
-        for link in (plant_link, fsw_link):
+    def _exchange(self, frames: bytes, accept: Accept) -> bytes:
+        """What paces the plant here: the flight software runs its cycle at once."""
+        self.fsw_node.tick(self.plant_node.tick_number, frames, self._keep)
+        accept(self._answer)
+        return self._answer
+
+    def _keep(self, answer: bytes) -> None:
+        self._answer = answer
+
+    # -- looking ---------------------------------------------------------------------------------------------------
+
+    @property
+    def truth(self) -> Truth:
+        """What is so now, by name: `truth.q_ib`, `truth.error_deg`, ... (see plant_server/truth.py)."""
+        truth = self.plant_node.plant.truth()
+        return truth._replace(error_deg=angle_between(self.flight.guidance.target.q_it, truth.q_ib) / DEG)
+
+    def read(self, signal: str) -> Any:
+        """The value of a signal as of the last tick, by the name that expectations use: `fsw.attitude.error_deg`.
+
+        Raises UsageError for a name that nothing is logged under, with the near miss.
+        """
+        return read_signal(signal, self.truth, self.flight)
+
+    # -- interfering -----------------------------------------------------------------------------------------------
+
+    def inject(self, at_tick: int | None = None, **fault: Any) -> None:
+        """Break a unit at a tick (default: the next): keys as of a fault in a scenario file, `at_s` left out.
+
+        Raises ConfigError when it is wrong; what can have no effect any more is refused in the log.
+        """
+        tick = self.tick if at_tick is None else at_tick
+        arguments = {"at_s": tick * self.tick_s} | fault
+        build(Fault, arguments, "fault")
+        self.plant_node.commands.add(Command(tick, "fault.add", arguments, ORIGIN))
+
+    def clear(self, at_tick: int | None = None, **which: str) -> None:
+        """Heal: `id=...` one fault, `unit=...` all of a unit, nothing: all; at a tick (default: the next)."""
+        tick = self.tick if at_tick is None else at_tick
+        self.plant_node.commands.add(Command(tick, "fault.clear", which, ORIGIN))
+
+    def retarget(self, do: str = "hold", at_tick: int | None = None, **settings: Any) -> None:
+        """Point elsewhere from a tick on (default: the next): keys as of an entry of `fsw.timeline`, `at_s` left out.
+
+        Raises ConfigError when it is wrong.
+        """
+        tick = self.tick if at_tick is None else at_tick
+        command = Command(tick, PREFIX + do, settings, ORIGIN)
+        if problem := self.flight.check(command, tick):
+            raise ConfigError(problem)
+        self.fsw_node.commands.add(command)
+
+    # -- logging ---------------------------------------------------------------------------------------------------
+
+    @property
+    def log(self) -> Run:
+        """The log so far, opened. Raises UsageError for a bench without one."""
+        if self._recorder is None or self._log_path is None:
+            raise UsageError('this bench keeps no log; make it with log="memory" or log=Path(...)')
+        for link in self._links:
+            link.flush()
+        self._recorder.flush()
+        return read_run(self._log_path)
+
+    def close(self, reason: str = "closed") -> None:
+        """Finish the log. Harmless when repeated, and for a bench without one."""
+        for link in self._links:
             with contextlib.suppress(RecordError):
                 link.close(reason)
-        recorder.close()
-    report.wall_s = time.monotonic() - started_s
-    return report
+        if self._recorder is not None:
+            self._recorder.close()
+
+    def _open_log(self, log: Path | Literal["memory"] | None) -> tuple[Path | None, Recorder | None]:
+        if log is None:
+            return None, None
+        path = make_memory_file() if log == "memory" else log
+        attachments = list_attachments(self.resolved)
+        return path, Recorder(path, metadata=describe_run(self.resolved, "in process"), attachments=attachments)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close("failed" if error is not None else "closed")
+
+
+def make_memory_file() -> Path:
+    """The path of an empty file that lies in memory, and goes with this process."""
+    return Path(f"/proc/self/fd/{os.memfd_create('hilsat-run.mcap')}")

@@ -67,7 +67,7 @@ def _measure_in_process(seconds: float) -> dict[str, Any]:
 
 def measure_scenario(name: str, seconds: float) -> dict[str, Any]:
     """The whole loop in this process: frames encoded, checked, decoded, telemetry written to a file."""
-    from tools.run.bench import run_in_process
+    from tools.run.in_process import run_in_process
 
     resolved = _load(name, seconds, "inprocess")
     speeds = []
@@ -159,7 +159,7 @@ def _measure_detection(seconds: float) -> dict[str, Any]:
         resolved = load_scenario(find_scenario("gyro-drift-flight"), [*overrides, f"fsw.detector.observer={observer}"])
         bench = Bench(resolved)
         bench.flight.detector = timed = _Timed(bench.flight.detector)
-        bench.run(resolved.ticks)
+        bench.step(resolved.ticks)
         results[f"practical + {observer}, us"] = timed.spent_ns / resolved.ticks / 1e3
     return results
 

@@ -82,7 +82,7 @@ def _make_out_dir(wanted: Path | None, name: str) -> Path:
 
 def _execute(resolved: Resolved, out_dir: Path, on_progress: Any) -> RunReport:
     if resolved.scenario.clock.mode == "inprocess":
-        from tools.run.bench import run_in_process
+        from tools.run.in_process import run_in_process
 
         return run_in_process(resolved, out_dir, on_progress)
     return run_processes(resolved, out_dir, on_progress)

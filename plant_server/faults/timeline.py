@@ -1,0 +1,266 @@
+"""When which fault acts: a chain for each unit, onsets and ends in integration steps, and the events that tell of them.
+
+None replaces another; each has an onset, an optional end and a profile. Events: `onset` and `end` as the scenario has them,
+`cleared` by command, and `effect`, the first time that a fault really changes something of its unit's output.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Generic, NamedTuple, TypeVar, cast
+
+from bus.errors import ConfigError
+from plant_server.config import PlantConfig
+from plant_server.faults.effects import Acting, Effect
+from plant_server.faults.fault import Fault, check_faults, fault_ids
+from plant_server.faults.units import SIMPLE_UNITS, family_of, parts_of
+from plant_server.noise import Draw, open_uniforms
+
+NEVER = 1 << 62  # step of an edge that does not come
+ORDER = {"end": 0, "cleared": 0, "onset": 1, "effect": 2}  # of events on one step
+K = TypeVar("K", bound=Effect)
+
+
+class FaultEvent(NamedTuple):
+    """A fault began, first had an effect, or ended."""
+
+    tick: int  # wheels: the tick during which it happened; sensors: the first sample that shows it
+    t_s: float  # start of the integration step (wheels) or the sample (sensors) of the change
+    id: str
+    number: int  # which fault, in the order of the scenario, then of commands
+    fault: Fault
+    phase: str  # onset, effect, end, cleared
+
+    @property
+    def value(self) -> float:
+        """The first magnitude of the fault; 0.0 when it takes none."""
+        return next(iter(self.fault.magnitudes.values()), 0.0)
+
+
+class ListedFault(NamedTuple):
+    """One fault of the run, as it stands."""
+
+    id: str
+    fault: Fault
+    state: str  # waiting, active, over
+    had_effect: bool
+
+
+class Occurrence:
+    """One fault of the run in integration steps, whatever the number of units it is on."""
+
+    __slots__ = ("fault", "had_effect", "id", "number", "off", "on", "start_s")
+
+    def __init__(self, fault: Fault, name: str, number: int, start_s: float, on: int, off: int) -> None:
+        self.fault = fault
+        self.id = name
+        self.number = number
+        self.start_s = start_s
+        self.on = on  # first step on which it acts
+        self.off = off  # first step on which it no longer acts
+        self.had_effect = False
+
+
+class ActiveFault(Generic[K]):
+    """One fault at work on one unit: its effect, and what that is told."""
+
+    __slots__ = ("_draw", "effect", "now", "occurrence")
+
+    def __init__(self, occurrence: Occurrence, draw: Draw | None) -> None:
+        self.occurrence = occurrence
+        self.effect = cast(K, occurrence.fault.effect)
+        self.now = Acting(occurrence.start_s)
+        self._draw = draw
+
+    def bring_to(self, t_s: float) -> None:
+        """Bring what the effect is told to the time t_s; once per sample, for the random numbers are drawn here."""
+        now = self.now
+        now.t_s = t_s
+        now.elapsed_s = elapsed_s = t_s - now.start_s
+        now.level = self.occurrence.fault.profile.level(elapsed_s)
+        if self._draw is not None:
+            now.drawn = tuple([self._draw() for _ in range(self.effect.draws)])
+
+    def is_settled(self) -> bool:
+        """Return whether what it does stays what it is."""
+        effect = self.effect
+        return effect.steady and not effect.draws and self.occurrence.fault.profile.settled(self.now.elapsed_s)
+
+
+class FaultChain(Generic[K]):
+    """The faults of one unit in the order in which they act, and which are active now."""
+
+    __slots__ = ("active", "entries", "next_edge")
+
+    def __init__(self) -> None:
+        self.entries: list[ActiveFault[K]] = []
+        self.active: tuple[ActiveFault[K], ...] = ()
+        self.next_edge = NEVER  # step on which this must be looked at again
+
+    def add(self, entry: ActiveFault[K]) -> None:
+        """Put a fault in its place; the chain is looked at afresh on the next step."""
+        self.entries.append(entry)
+        self.entries.sort(key=lambda e: (not e.effect.early, e.occurrence.on, e.occurrence.number))
+        self.next_edge = -1
+
+    def refresh(self, step: int) -> None:
+        """Find what is active from `step` on, and the step of the next change."""
+        spans = [(entry, entry.occurrence.on, entry.occurrence.off) for entry in self.entries]
+        self.active = tuple(entry for entry, on, off in spans if on <= step < off)
+        self.next_edge = min((edge for _, on, off in spans for edge in (on, off) if edge > step), default=NEVER)
+
+    def without_effect_yet(self) -> tuple[ActiveFault[K], ...]:
+        """Return the active faults that have not changed anything so far."""
+        return tuple(entry for entry in self.active if not entry.occurrence.had_effect)
+
+
+class FaultTimeline:
+    """All faults of a run, and the events that tell of them.
+
+    Times are rounded up to whole integration steps; sensors are disturbed from their first sample at or after that.
+    Raises ConfigError with everything that is wrong with the faults.
+    """
+
+    def __init__(
+        self,
+        faults: tuple[Fault, ...],
+        *,
+        step_s: float,
+        steps_per_tick: int,
+        seed: int,
+        plant: PlantConfig | None = None,
+    ) -> None:
+        problems = check_faults(faults, plant)
+        if problems:
+            raise ConfigError(*(f"faults{format_path(p.path)}: {p.message}" for p in problems))
+        self.chains: dict[str, FaultChain[Effect]] = {unit: FaultChain() for unit in SIMPLE_UNITS}
+        self._plant = plant
+        self._step_s = step_s
+        self._steps_per_tick = steps_per_tick
+        self._seed = seed
+        self._all: list[Occurrence] = []
+        self._commanded = 0
+        self._waiting: list[
+            tuple[int, str, Occurrence]
+        ] = []  # step, phase: events that are still to come, soonest first
+        self.next_event = NEVER  # step of the next one
+        for name, fault in zip(fault_ids(faults), faults, strict=True):
+            self._enter(fault, name, 0)
+
+    # -- commands ------------------------------------------------------------------------------------------------------
+
+    def add(self, fault: Fault, step: int) -> str:
+        """Return the id of a fault that was commanded during the run, before the integration step `step`.
+
+        An onset in the past takes effect now. Raises ConfigError when the fault is wrong, is already over, can have no
+        effect, or has the id of another.
+        """
+        name = f"command[{self._commanded}]" if fault.id is None else fault.id
+        problems = [f"fault{format_path(p.path)}: {p.message}" for p in fault.check(self._plant)]
+        if any(item.id == name for item in self._all):
+            problems.append(f'fault.id: "{name}" is the id of another fault of this run; ids are unique')
+        if not problems and fault.until_s is not None and self._count_steps(fault.until_s) <= step:
+            text = f"{fault.until_s} s has passed: it is {step * self._step_s:g} s, the fault would never take effect"
+            problems.append(f"fault.until_s: {text}")
+        if problems:
+            raise ConfigError(*problems)
+        self._commanded += 1
+        self._enter(fault, name, step)
+        return name
+
+    def clear(self, step: int, *, id: str | None = None, unit: str | None = None) -> tuple[str, ...]:
+        """End faults before the integration step `step`: that of an id, those of a unit, all when neither is given.
+
+        Returns the ids of those that were waiting or active; `gyro` as unit means its axes too. Raises ConfigError
+        when an id or a unit names no such fault.
+        """
+        over = [item for item in self._all if item.off > step and _is_meant(item, id, unit)]
+        if not over and (id is not None or unit is not None):
+            there = ", ".join(f"{item.id} ({item.fault.unit})" for item in self._all if item.off > step) or "none"
+            what = f'id "{id}"' if id is not None else f'unit "{unit}"'
+            raise ConfigError(f"fault.clear: no fault with {what} is waiting or active; there are: {there}")
+        for item in over:
+            item.off = step
+            self._waiting = [entry for entry in self._waiting if entry[2] is not item or entry[0] < step]
+            self._expect(step, "cleared", item)
+            for part in parts_of(item.fault.unit):
+                self.chains[part].next_edge = -1
+        return tuple(item.id for item in over)
+
+    def list(self, step: int) -> tuple[ListedFault, ...]:
+        """Return every fault of the run and how it stands before the integration step `step`."""
+        return tuple(
+            ListedFault(
+                item.id,
+                item.fault,
+                "over" if item.off <= step else "active" if item.on <= step else "waiting",
+                item.had_effect,
+            )
+            for item in self._all
+        )
+
+    # -- events --------------------------------------------------------------------------------------------------------
+
+    def note_effect(self, entry: ActiveFault[K], step: int) -> None:
+        """Keep that a fault has changed something of its unit's output on this step, the first time that it does."""
+        if not entry.occurrence.had_effect:
+            entry.occurrence.had_effect = True
+            self._expect(step, "effect", entry.occurrence)
+
+    def take_events(self, step: int) -> tuple[FaultEvent, ...]:
+        """Return what has happened up to and including `step` and was not returned before, in its order."""
+        due = [entry for entry in self._waiting if entry[0] <= step]
+        self._waiting = self._waiting[len(due) :]
+        self.next_event = self._waiting[0][0] if self._waiting else NEVER
+        return tuple(
+            FaultEvent(at // self._steps_per_tick, at * self._step_s, item.id, item.number, item.fault, phase)
+            for at, phase, item in due
+        )
+
+    def _expect(self, step: int, phase: str, item: Occurrence) -> None:
+        self._waiting.append((step, phase, item))
+        self._waiting.sort(key=_find_place)
+        self.next_event = self._waiting[0][0]
+
+    # -- entering ------------------------------------------------------------------------------------------------------
+
+    def _enter(self, fault: Fault, name: str, step: int) -> None:
+        on = max(self._count_steps(fault.at_s), step)
+        off = NEVER if fault.until_s is None else max(self._count_steps(fault.until_s), on + 1)
+        if family_of(fault.unit) != "wheel":
+            on, off = self._round_to_tick(on), self._round_to_tick(off)
+        start_s = max(fault.at_s, step * self._step_s)
+        item = Occurrence(fault, name, len(self._all), start_s, on, off)
+        self._all.append(item)
+        for unit in parts_of(fault.unit):
+            chain = self.chains[unit]
+            order = sum(entry.effect.kind == fault.kind for entry in chain.entries)
+            stream = f"fault/{unit}/{fault.kind}/{order}"
+            chain.add(ActiveFault(item, open_uniforms(self._seed, stream) if fault.effect.draws else None))
+        self._expect(on, "onset", item)
+        if off < NEVER:
+            self._expect(off, "end", item)
+
+    def _count_steps(self, time_s: float) -> int:
+        return math.ceil(time_s / self._step_s - 1e-6)
+
+    def _round_to_tick(self, step: int) -> int:
+        n = self._steps_per_tick
+        return step if step == NEVER else -(-step // n) * n
+
+
+def _find_place(entry: tuple[int, str, Occurrence]) -> tuple[int, int, int]:
+    """Return the order of events: by step, ends ahead of onsets, but that of a fault too short to act behind its own."""
+    step, phase, item = entry
+    return (step, 3 if phase == "end" and item.on >= step else ORDER[phase], item.number)
+
+
+def _is_meant(item: Occurrence, id: str | None, unit: str | None) -> bool:
+    if id is not None:
+        return item.id == id
+    return unit is None or item.fault.unit == unit or family_of(item.fault.unit) == unit
+
+
+def format_path(path: tuple[str | int, ...]) -> str:
+    """Return a key path as text: (0, 'kind') is [0].kind."""
+    return "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in path)

@@ -1,0 +1,1 @@
+"""The gyro: presets of its noise, the noise itself, one axis, and the triad."""

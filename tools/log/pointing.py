@@ -1,0 +1,77 @@
+"""The true pointing error: the plant knows where the body points, the flight software where it should, the log both.
+
+The plant leaves room for `error_deg` in /truth/attitude. It is filled in as a chunk is written: the angle between the
+attitude of each tick and the target that the flight software logged for that tick, or last before it. NaN before any.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bus.attitude import angle_between
+from bus.units import DEG, Vec4
+from tools.log.layout import parse_layout
+from tools.log.message_index import DATA_AT, Pairs
+
+TRUTH, FLIGHT = "/truth/attitude", "/fsw/attitude"
+BODY_AT: Final = DATA_AT + 4  # of a record: behind its head and the CDR encapsulation
+
+
+class PointingError:
+    """Fills one field of the truth from a field of the flight software's telemetry."""
+
+    def __init__(self) -> None:
+        self._truth: tuple[int, int, int] | None = None  # channel, place of q_ib and of error_deg in a record
+        self._flight: tuple[int, int] | None = None  # channel, place of q_it
+        self._target: Vec4 | None = None  # the last one so far
+
+    def learn(self, channel: int, topic: str, schema: str) -> None:
+        """Note the layout of a channel, if it is one of the two."""
+        if topic not in (TRUTH, FLIGHT):
+            return
+        fields: Any = parse_layout(schema, topic).fields or {}
+        if topic == TRUTH and {"q_ib", "error_deg"} <= fields.keys():
+            self._truth = (channel, BODY_AT + fields["q_ib"][1], BODY_AT + fields["error_deg"][1])
+        elif topic == FLIGHT and "q_it" in fields:
+            self._flight = (channel, BODY_AT + fields["q_it"][1])
+
+    def fill(self, pairs: dict[int, Pairs], data: bytes) -> bytes:
+        """The chunk with every pointing error in it. pairs: log time and place of the messages of each channel."""
+        if self._truth is None or self._flight is None or self._truth[0] not in pairs:
+            return data
+        channel, q_at, error_at = self._truth
+        times, places = pairs[channel].T.astype(np.int64)
+        attitudes = _gather(data, places + q_at)
+        targets, which = self._find_targets(pairs, data, times)
+        errors = np.full(len(places), np.nan)
+        for i, (attitude, index) in enumerate(zip(attitudes.tolist(), which, strict=True)):
+            if index >= 0:
+                errors[i] = angle_between(targets[index], attitude) / DEG
+        self._target = targets[-1] if targets else None
+        filled = np.frombuffer(data, np.uint8).copy()
+        filled[(places + error_at)[:, None] + np.arange(8)] = errors.view(np.uint8).reshape(-1, 8)
+        return filled.tobytes()
+
+    def _find_targets(
+        self, pairs: dict[int, Pairs], data: bytes, times: NDArray[np.int64]
+    ) -> tuple[list[Any], list[int]]:
+        """Targets, the last one of before first, and which of them holds at each time (-1: none)."""
+        assert self._flight is not None
+        channel, q_at = self._flight
+        targets: list[Any] = [] if self._target is None else [self._target]
+        before = len(targets)
+        if channel not in pairs:
+            return targets, [before - 1] * len(times)
+        since, places = pairs[channel].T.astype(np.int64)
+        targets += _gather(data, places + q_at).tolist()
+        which = np.searchsorted(since, times, side="right") - 1 + before
+        return targets, which.tolist()
+
+
+def _gather(data: bytes, places: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Four numbers from each place, shape (n, 4)."""
+    raw = np.frombuffer(data, np.uint8)
+    return np.ascontiguousarray(raw[places[:, None] + np.arange(32)]).view("<f8")
