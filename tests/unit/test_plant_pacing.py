@@ -158,6 +158,8 @@ def test_real_time_ticks_stand_on_absolute_deadlines() -> None:
         answer(0), answer(1), b"", b"",
     ]  # fmt: skip
     assert (pacing.slips, pacing.max_lateness_ns) == (0, 0)
+    assert node.channel.counters.accepted == 10
+    assert node.plant.truth().tau_rw_true_nm == pytest.approx((0.01,) * 4, abs=5e-8)
 
 
 def test_a_late_plant_runs_the_missed_ticks_back_to_back_and_counts_them() -> None:
@@ -198,7 +200,7 @@ def test_meeting_ends_after_its_patience_or_with_the_right_peer() -> None:
     with pytest.raises(UsageError, match="runs another scenario"):
         meet_fsw(bus, node.channel, 42, 10.0, clock)
     node.channel.fsw_state = -1
-    bus.arrivals = [(clock.ns + k, encode_HEARTBEAT_FSW(k, 0, state, 42)) for k, state in ((1, 127), (2, 5))]
+    bus.arrivals = [(clock.ns + k, encode_HEARTBEAT_FSW(k, 0, state, 42)) for k, state in ((1, 5), (2, 5))]
     bus.sent.clear()
     meet_fsw(bus, node.channel, 42, 10.0, clock)
     assert len(bus.sent) == 1
