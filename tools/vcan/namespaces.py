@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
 
-from tools.vcan.processes import die_with_parent
+from tools.vcan.process_tree import die_with_parent
 
 CLONE_FLAGS = {"mount": 0x20000, "user": 0x10000000, "pid": 0x20000000, "net": 0x40000000}
 MS_REC, MS_PRIVATE = 0x4000, 0x40000

@@ -11,7 +11,7 @@ from pathlib import Path
 from tools.vcan import netlink, plan
 from tools.vcan.errors import VcanError
 from tools.vcan.machine import Machine, Request, in_namespaces, inside_command, try_command, write_job
-from tools.vcan.processes import become_subreaper, end_descendants
+from tools.vcan.process_tree import become_subreaper, end_descendants
 from tools.vcan.supervisor import Command, supervise
 
 PROBE = "probe"
