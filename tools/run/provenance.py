@@ -34,7 +34,7 @@ def describe_run(resolved: Resolved, address: str) -> dict[str, str]:
         "platform": platform.platform(),
         "python": sys.version.split()[0],
         "versions": ", ".join(f"{name} {_version(name)}" for name in NAMED_PACKAGES),
-        "git_rev": _git_revision(),
+        "git_rev": read_revision(),
     }
 
 
@@ -53,7 +53,7 @@ def _version(name: str) -> str:
         return "not installed"
 
 
-def _git_revision() -> str:
+def read_revision() -> str:
     """Revision of the source tree that runs, with +dirty when it has changes; empty unless it is a checkout of its own.
 
     An installed copy inside somebody else's repository has no revision, and neither has a tree that git does not track.
