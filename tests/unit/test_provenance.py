@@ -56,6 +56,10 @@ def test_a_repository_named_by_the_environment_is_not_asked(
 ) -> None:
     """GIT_DIR and GIT_WORK_TREE, as a hook of another repository has them, change nothing."""
     make_repository(tmp_path / "other")
+    (tmp_path / "other" / "tools").mkdir()
+    (tmp_path / "other" / "tools" / "cli.py").write_text("")
+    git(tmp_path / "other", "add", "-A")
+    git(tmp_path / "other", "commit", "-q", "-m", "a file of the same name")
     monkeypatch.setenv("GIT_DIR", str(tmp_path / "other" / ".git"))
     monkeypatch.setenv("GIT_WORK_TREE", str(tree))
     assert provenance.read_revision() == ""
