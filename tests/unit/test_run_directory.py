@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from bus.errors import UsageError
+from bus.errors import RecordError, UsageError
+from tools.log.mcap_writer import McapWriter
 from tools.run.directory import keep_words, own_directory
 
 
@@ -96,3 +97,15 @@ def test_a_body_that_fails_gives_the_directory_up(tmp_path: Path) -> None:
     with contextlib.suppress(RuntimeError), own_directory(tmp_path, "name"):
         raise RuntimeError
     assert not list(tmp_path.iterdir())
+
+
+def test_a_log_is_made_new(tmp_path: Path) -> None:
+    """The writer refuses a file that is there, and a dangling link; both stay as they are. A device has nothing to lose."""
+    (tmp_path / "old.mcap").write_text("mine")
+    (tmp_path / "link.mcap").symlink_to(tmp_path / "nowhere")
+    for name in ("old.mcap", "link.mcap"):
+        with pytest.raises(RecordError, match="there is a file of that name"):
+            McapWriter(tmp_path / name)
+    assert (tmp_path / "old.mcap").read_text() == "mine"
+    assert not (tmp_path / "nowhere").exists()
+    McapWriter("/dev/null").close()
