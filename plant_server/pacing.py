@@ -10,7 +10,9 @@ from collections.abc import Callable
 
 from bus.clock import PEER_TIMEOUT_S, QUIET_S, MonotonicClock
 from bus.errors import DeadlineError, PeerLostError
+from bus.wire.frames import FRAME_ID
 from bus.wire.transport import Transport
+from plant_server.channel import CYCLE_DONE_ID
 from plant_server.plant_log import PlantLog
 
 Accept = Callable[[bytes], bool]  # hands frames to the plant; True once CYCLE_DONE of the present tick is among them
@@ -80,17 +82,19 @@ class RealTime:
         self._log = log
         self._tick = 0
         self._deadline_ns = -1  # of the present tick; the first one sets it
+        self._heard_ns = 0  # when the flight software last ended a cycle
         self.slips = 0
         self.max_lateness_ns = 0
 
     def exchange(self, frames: bytes, accept: Accept) -> bytes:
         """Send the frames and collect what comes until the deadline; waiting also lets an embedded hub do its work.
 
-        Raises DeadlineError when it is MAX_LATENESS_S behind.
+        Raises DeadlineError when it is MAX_LATENESS_S behind, PeerLostError when the flight software leaves the bus or
+        ends no cycle for PEER_TIMEOUT_S.
         """
         clock = self._clock
         if self._deadline_ns < 0:
-            self._deadline_ns = clock.now_ns()
+            self._deadline_ns = self._heard_ns = clock.now_ns()
         self._deadline_ns += self._period_ns
         self._transport.send(frames)
         received = b""
@@ -98,6 +102,7 @@ class RealTime:
             received += self._receive(left_ns * 1e-9)
         received += self._receive(0.0)
         self._count_lateness(-left_ns)
+        self._judge_silence(received)
         accept(received)
         self._tick += 1
         return received
@@ -111,6 +116,20 @@ class RealTime:
             raise DeadlineError(
                 f"the plant is {lateness_ns / 1e9:.1f} s behind real time at tick {self._tick} (limit "
                 f"{MAX_LATENESS_S:g} s): lower clock.tick_hz or free the machine"
+            )
+
+    def _judge_silence(self, received: bytes) -> None:
+        now_ns = self._clock.now_ns()
+        if any(can_id == CYCLE_DONE_ID for (can_id,) in FRAME_ID.iter_unpack(received)):
+            self._heard_ns = now_ns
+        elif "fsw" in self._transport.departed:
+            raise PeerLostError(
+                f"the flight software left the bus at tick {self._tick}: its process ended or was killed"
+            )
+        elif now_ns - self._heard_ns > PEER_TIMEOUT_S * 1e9:
+            raise PeerLostError(
+                f"the flight software has not ended a cycle for {PEER_TIMEOUT_S:g} s at tick {self._tick}: it hangs or was "
+                "stopped; the wheels went to rest meanwhile"
             )
 
     def _receive(self, timeout_s: float) -> bytes:

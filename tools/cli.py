@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import argparse
 import importlib
-import importlib.util
 import os
 import signal
 import sys
 
 from bus.errors import HilsatError
+from bus.process import Interrupted
+from bus.streams import open_streams, read_failure
+from bus.trace import PLACE, describe_unforeseen
 
 # verb -> (module with add_parser(subparsers), summary); imported only when the verb is used
 VERBS: dict[str, tuple[str, str]] = {
@@ -32,28 +34,46 @@ VERBS: dict[str, tuple[str, str]] = {
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run one verb; return the exit code."""
+    """Run one verb; return the exit code. What cannot be written on stdout does not change it."""
+    open_streams()
     words = sys.argv[1:] if argv is None else argv
     if not sys.platform.startswith("linux"):
         print(
             f"hilsat runs on Linux (this is {sys.platform}); on Windows use WSL, on macOS a Linux VM", file=sys.stderr
         )
         return 2
-    hidden = _hidden_packages()
-    if hidden:
-        print(hidden, file=sys.stderr)
-        return 2
-    args = _make_parser(words).parse_args(words)
     try:
+        code = _run_verb(words)
+        failure = read_failure(sys.stdout)
+    except BrokenPipeError:  # whoever read our words has gone
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 128 + signal.SIGPIPE
+    except KeyboardInterrupt as stop:
+        return 128 + (stop.number if isinstance(stop, Interrupted) else signal.SIGINT)
+    if failure is not None:
+        print(
+            f"hilsat: stdout cannot be written: {failure.strerror}; the exit code is that of the work", file=sys.stderr
+        )
+    return code
+
+
+def _run_verb(words: list[str]) -> int:
+    try:
+        args = _make_parser(words).parse_args(words)
+        if args.debug:
+            os.environ[PLACE] = "-"  # for the processes of a run too
         return int(args.func(args))
+    except SystemExit:  # usage, --help and --version
+        read_failure(sys.stdout)
+        raise
     except HilsatError as error:
         print(f"hilsat: {error}", file=sys.stderr)
         return error.exit_code
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 128 + signal.SIGPIPE
-    except KeyboardInterrupt:
-        return 130
+        raise
+    except Exception as error:
+        print(f"hilsat: {describe_unforeseen('hilsat', error)}", file=sys.stderr)
+        return HilsatError.exit_code
 
 
 def _make_parser(words: list[str]) -> argparse.ArgumentParser:
@@ -63,6 +83,7 @@ def _make_parser(words: list[str]) -> argparse.ArgumentParser:
         epilog="Exit codes: 0 passed, 1 graded a fail, 2 usage or configuration, 3 infrastructure.",
     )
     parser.add_argument("--version", action="version", version=f"hilsat {_version()}")
+    parser.add_argument("--debug", action="store_true", help="show the traceback of what was not foreseen")
     subparsers = parser.add_subparsers(metavar="VERB", required=True)
     wanted = next((word for word in words if not word.startswith("-")), None)
     if wanted in VERBS:
@@ -83,18 +104,7 @@ def _version() -> str:
         return "(not installed)"
 
 
-def _hidden_packages() -> str:
-    """A message when another package named bus, fsw, plant_server or tools hides ours; else empty."""
-    home = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
-    for name in ("bus", "fsw", "plant_server"):
-        spec = importlib.util.find_spec(name)
-        origin = "" if spec is None or spec.origin is None else os.path.abspath(spec.origin)
-        if not origin.startswith(home + os.sep):
-            return (
-                f"hilsat: the package {name!r} that Python finds is not ours but {origin or 'missing'}; run in a venv"
-            )
-    return ""
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    from hilsat import main as start
+
+    sys.exit(start())

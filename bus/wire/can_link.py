@@ -1,57 +1,31 @@
-"""What the kernel says of a CAN interface: there or not, up or down, CAN or not, its bit rate."""
+"""Whether a CAN interface can carry the bus: there or not, up or down, CAN or not, its bit rate."""
 
 from __future__ import annotations
 
-import difflib
-import fcntl
 import socket
-import struct
-from dataclasses import dataclass
 
 from bus.errors import BusAddressError
-
-# linux/if.h, if_arp.h, sockios.h
-SIOCGIFFLAGS, SIOCGIFHWADDR = 0x8913, 0x8927
-IFF_UP = 0x1
-ARPHRD_CAN = 280
-# linux/rtnetlink.h, if_link.h, can/netlink.h
-RTM_NEWLINK, RTM_GETLINK, NLM_F_REQUEST = 16, 18, 1
-IFLA_LINKINFO, IFLA_INFO_DATA, IFLA_CAN_BITTIMING = 18, 2, 1
-NLA_TYPE_MASK = 0x3FFF
+from bus.wire.rtnetlink import Link, list_links
+from bus.words import suggest
 
 
-@dataclass(frozen=True, slots=True)
-class CanLink:
-    """One network interface as the kernel has it now."""
-
-    name: str
-    index: int
-    is_can: bool
-    is_up: bool
-    bitrate_bps: int | None  # None: virtual, or not told
-
-
-def find_link(name: str) -> CanLink | None:
-    """Return the interface of this name in this network namespace; None when there is none."""
+def find_link(name: str) -> Link | None:
+    """Return the interface of this name in this network namespace; None when there is none or the kernel does not say."""
     try:
-        index = socket.if_nametoindex(name)
-        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as any_socket:
-            request = struct.pack("16s24x", name.encode())
-            flags = struct.unpack_from("H", fcntl.ioctl(any_socket, SIOCGIFFLAGS, request), 16)[0]
-            hardware = struct.unpack_from("H", fcntl.ioctl(any_socket, SIOCGIFHWADDR, request), 16)[0]
-    except (OSError, ValueError):
+        return next((link for link in list_links() if link.name == name), None)
+    except OSError:
         return None
-    is_can = hardware == ARPHRD_CAN
-    return CanLink(name, index, is_can, bool(flags & IFF_UP), ask_bitrate_bps(index) if is_can else None)
 
 
 def list_can_links() -> list[str]:
     """Return the names of the CAN interfaces of this network namespace."""
-    links = (find_link(name) for _, name in socket.if_nameindex())
-    return sorted(link.name for link in links if link is not None and link.is_can)
+    try:
+        return sorted(link.name for link in list_links() if link.is_can)
+    except OSError:
+        return []
 
 
-def check_link(name: str, bitrate_bps: int) -> CanLink:
+def check_link(name: str, bitrate_bps: int) -> Link:
     """Return the interface if it can carry the bus. Raises BusAddressError: what is wrong with it and what to do."""
     if not kernel_has_can():
         raise BusAddressError(
@@ -60,8 +34,7 @@ def check_link(name: str, bitrate_bps: int) -> CanLink:
     link = find_link(name)
     if link is None:
         there = list_can_links()
-        near = difflib.get_close_matches(name, there, 1, 0.6)
-        hint = f"did you mean {near[0]}? " if near else ""
+        hint = suggest(name, there)
         listing = (
             f"there are: {', '.join(there)}" if there else "there is no CAN interface: make one with `hilsat vcan up`"
         )
@@ -89,40 +62,3 @@ def kernel_has_can() -> bool:
     except OSError:
         return False
     return True
-
-
-def ask_bitrate_bps(index: int) -> int | None:
-    """Return the bit rate that an interface is set to [bit/s]; None for virtual ones, which have none."""
-    request = struct.pack("=IHHII", 32, RTM_GETLINK, NLM_F_REQUEST, 1, 0) + struct.pack("=BxHiII", 0, 0, index, 0, 0)
-    try:
-        with socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, 0) as route:
-            route.settimeout(1.0)
-            route.send(request)
-            return read_bitrate_bps(route.recv(65536))
-    except OSError:
-        return None
-
-
-def read_bitrate_bps(message: bytes) -> int | None:
-    """Return the bit rate in an RTM_NEWLINK message [bit/s]; None when it has none."""
-    if len(message) < 32 or struct.unpack_from("=H", message, 4)[0] != RTM_NEWLINK:
-        return None
-    payload: bytes | None = message[32:]
-    for wanted in (IFLA_LINKINFO, IFLA_INFO_DATA, IFLA_CAN_BITTIMING):
-        payload = _find_attribute(payload, wanted) if payload is not None else None
-    if payload is None or len(payload) < 4:
-        return None
-    bitrate: int = struct.unpack_from("=I", payload)[0]
-    return bitrate or None
-
-
-def _find_attribute(data: bytes, wanted: int) -> bytes | None:
-    at = 0
-    while at + 4 <= len(data):
-        length, kind = struct.unpack_from("=HH", data, at)
-        if length < 4:
-            return None
-        if kind & NLA_TYPE_MASK == wanted:
-            return data[at + 4 : at + length]
-        at += (length + 3) & ~3
-    return None

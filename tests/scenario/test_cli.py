@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
+from subprocess import PIPE
 
 import pytest
 
+HILSAT = [sys.executable, "-P", "-m", "tools.cli"]
 QUICK = ["--clock", "inprocess", "--no-plot", "-q"]
 
 
 def hilsat(*words: str, timeout: float = 60) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-P", "-m", "tools.cli", *words]
+    command = [*HILSAT, *words]
     return subprocess.run(command, capture_output=True, text=True, timeout=timeout, check=False)
 
 
@@ -80,6 +84,108 @@ def test_an_output_directory_is_not_written_twice(tmp_path: Path) -> None:
     assert again.returncode == 2
     assert "run.mcap" in again.stderr
     assert (tmp_path / "run.mcap").read_bytes() == before
+
+
+def test_two_runs_never_share_a_directory(tmp_path: Path) -> None:
+    """Started together with one --out: one flies and its log is that of its seed alone, the other is refused."""
+    words = [*HILSAT, "run", "zhang2018-flight", *QUICK, "--json", "--set", "duration_s=20", "--set", "expect=[]"]
+    words += ["--set", "faults=[]", "--out"]
+    runs = [
+        subprocess.Popen([*words, str(tmp_path / "x"), "--seed", seed], stdout=PIPE, stderr=PIPE, text=True)
+        for seed in ("1", "2")
+    ]
+    told = [run.communicate(timeout=60) for run in runs]
+    assert 2 in [run.returncode for run in runs]
+    flown = next(index for index, run in enumerate(runs) if run.returncode != 2)
+    assert "name another directory with --out" in told[1 - flown][1]
+    alone = hilsat(*words[len(HILSAT) :], str(tmp_path / "alone"), "--seed", "12"[flown])
+    digest = "digest of the run"
+    assert json.loads(told[flown][0])["figures"][digest] == json.loads(alone.stdout)["figures"][digest]
+
+
+def test_what_is_in_a_directory_stays(tmp_path: Path) -> None:
+    """--out onto a directory with files of the names that a run once used: each stays, and the run passes beside them."""
+    mine = {
+        name: f"mine {name}" for name in ("plant.json", "fsw.json", "meta.json", "plant.err", "fsw.err", "recorder.err")
+    }
+    for name, text in mine.items():
+        (tmp_path / name).write_text(text)
+    words = [
+        "--clock",
+        "lockstep",
+        "--no-plot",
+        "-q",
+        "--set",
+        "duration_s=2",
+        "--set",
+        "expect=[]",
+        "--set",
+        "faults=[]",
+    ]
+    hilsat("run", "zhang2018", *words, "--out", str(tmp_path))
+    assert {path.name: path.read_text() for path in tmp_path.iterdir() if path.name != "run.mcap"} == mine
+    assert (tmp_path / "run.mcap").stat().st_size > 1000
+
+
+@pytest.mark.parametrize("verb", ["plant", "fsw"])
+def test_a_log_that_is_there_is_never_written_over(verb: str, tmp_path: Path) -> None:
+    """--log onto a file, or a dangling link: refused at once, and as it was."""
+    (tmp_path / "old.mcap").write_text("mine")
+    (tmp_path / "link.mcap").symlink_to(tmp_path / "nowhere")
+    for name in ("old.mcap", "link.mcap"):
+        done = hilsat(verb, "zhang2018", "--bus", f"hub:{tmp_path / 'bus'}", "--log", str(tmp_path / name))
+        assert (done.returncode, done.stdout) == (2, "")
+        assert f"{name}: there is a file of that name already" in done.stderr
+    assert (tmp_path / "old.mcap").read_text() == "mine"
+    assert not (tmp_path / "nowhere").exists()
+
+
+def test_a_failed_recorder_of_one_side_is_infrastructure(tmp_path: Path) -> None:
+    """`hilsat plant --log` onto a full disk: exit code 3 and the recorder's words."""
+    done = hilsat("plant", "zhang2018", "--bus", f"hub:{tmp_path / 'bus'}", "--log", "/dev/full")
+    assert done.returncode == 3
+    assert "recorder: /dev/full: cannot write the log: No space left on device" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_the_flight_software_alone_ends_in_words(tmp_path: Path) -> None:
+    """`hilsat fsw --log` that no plant answers: exit code 3, no traceback, a log that is closed properly."""
+    log = tmp_path / "fsw.mcap"
+    done = hilsat("fsw", "zhang2018", "--bus", f"hub:{tmp_path / 'bus'}", "--log", str(log))
+    assert done.returncode == 3
+    assert "has no host" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert log.read_bytes().endswith(b"\x89MCAP0\r\n")
+
+
+@pytest.mark.parametrize("verb", ["plant", "fsw"])
+def test_a_side_that_is_told_twice_to_end_ends_once(verb: str, tmp_path: Path) -> None:
+    """SIGTERM again and again while it waits for the other and cleans up: 143, no traceback, nothing left behind."""
+    side = subprocess.Popen(
+        [*HILSAT, verb, "zhang2018", "--bus", f"hub:{tmp_path / 'bus'}"],
+        stderr=PIPE, text=True, env={**os.environ, "TMPDIR": str(tmp_path)},
+    )  # fmt: skip
+    until = time.monotonic() + 20
+    while time.monotonic() < until and not list(tmp_path.glob("hilsat-*")):
+        time.sleep(0.05)
+    time.sleep(0.3)
+    while side.poll() is None and time.monotonic() < until:
+        side.send_signal(signal.SIGTERM)
+        time.sleep(0.001)
+    assert side.communicate()[1] == ""
+    assert side.returncode in (143, -signal.SIGTERM)  # the latter when one comes after all is done
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_file_called_like_the_socket_of_a_bus_stays(tmp_path: Path) -> None:
+    """hub:DIR with somebody's own file hub.sock in it: refused in words, and the file is as it was."""
+    bus = tmp_path / "bus"
+    bus.mkdir(mode=0o700)
+    (bus / "hub.sock").write_text("mine")
+    done = hilsat("run", "zhang2018", "--bus", f"hub:{bus}", "--no-plot", "-q", "--out", str(tmp_path / "out"))
+    assert done.returncode == 2
+    assert "no socket of a bus" in done.stderr
+    assert (bus / "hub.sock").read_text() == "mine"
 
 
 def test_the_two_sides_meet_in_two_terminals(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ import pytest
 from bus.errors import BusAddressError
 from bus.wire import can_link
 from bus.wire.address import open_transport
+from bus.wire.rtnetlink import Link, parse_link, split_messages
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -89,11 +91,12 @@ class TestCanInterfaces:
 
     def test_down_and_at_another_bit_rate(self, monkeypatch: pytest.MonkeyPatch) -> None:
         """What the kernel says of the interface decides; each refusal holds the command that mends it."""
+        link = Link(index=3, name="can0", kind="can", mtu=16, is_can=True, is_up=True, bitrate_bps=250_000)
         monkeypatch.setattr(can_link, "kernel_has_can", lambda: True)
-        monkeypatch.setattr(can_link, "find_link", lambda name: can_link.CanLink(name, 3, True, False, None))
+        monkeypatch.setattr(can_link, "find_link", lambda name: replace(link, is_up=False))
         with pytest.raises(BusAddressError, match=r"can0 is down; .* ip link set can0 up"):
             can_link.check_link("can0", 500_000)
-        monkeypatch.setattr(can_link, "find_link", lambda name: can_link.CanLink(name, 3, True, True, 250_000))
+        monkeypatch.setattr(can_link, "find_link", lambda name: link)
         with pytest.raises(BusAddressError, match=r"can0 runs at 250000 bit/s, .* 500000 bit/s; .* bitrate 500000"):
             can_link.check_link("can0", 500_000)
         assert can_link.check_link("can0", 250_000).bitrate_bps == 250_000
@@ -105,6 +108,10 @@ class TestCanInterfaces:
             length = 4 + len(payload)
             return length.to_bytes(2, sys.byteorder) + kind.to_bytes(2, sys.byteorder) + payload + bytes(-length % 4)
 
+        def read_bitrates(data: bytes) -> list[int | None]:
+            bodies = (body for _, body in split_messages(data) if len(body) >= 16)
+            return [parse_link(body).bitrate_bps for body in bodies]
+
         def word(value: int) -> bytes:
             return value.to_bytes(4, sys.byteorder)
 
@@ -113,8 +120,11 @@ class TestCanInterfaces:
         info = attribute(1, b"can\0") + attribute(2, data)  # IFLA_INFO_KIND, IFLA_INFO_DATA
         link = attribute(3, b"can0\0") + attribute(18, info)  # IFLA_IFNAME, IFLA_LINKINFO
         header = word(32 + len(link)) + (16).to_bytes(2, sys.byteorder) + bytes(10)  # struct nlmsghdr
-        message = header + bytes(16) + link  # struct ifinfomsg
-        assert can_link.read_bitrate_bps(message) == 500_000
-        assert can_link.read_bitrate_bps(header + bytes(16) + attribute(3, b"vcan0\0")) is None
+        ifinfomsg = bytes(2) + (280).to_bytes(2, sys.byteorder) + bytes(12)  # struct ifinfomsg of an ARPHRD_CAN
+        message = header + ifinfomsg + link
+        assert read_bitrates(message) == [500_000]
+        plain = attribute(3, b"vcan0\0")
+        header = word(32 + len(plain)) + (16).to_bytes(2, sys.byteorder) + bytes(10)
+        assert read_bitrates(header + ifinfomsg + plain) == [None]
         for cut in range(len(message)):
-            assert can_link.read_bitrate_bps(message[:cut]) in (None, 500_000)
+            assert read_bitrates(message[:cut]) in ([], [None], [500_000])

@@ -20,7 +20,7 @@ import pytest
 
 from bus.errors import BusAddressError, BusInUseError, BusLostError
 from bus.wire.address import open_transport
-from bus.wire.can_link import ask_bitrate_bps, find_link, list_can_links
+from bus.wire.can_link import find_link, list_can_links
 from bus.wire.frames import FRAME
 from bus.wire.socketcan import CAN_RAW_FD_FRAMES, SOL_CAN_RAW, SocketCanTransport
 
@@ -122,7 +122,7 @@ def test_a_virtual_interface_has_no_bit_rate(interface: str) -> None:
     """So that any bit rate of the scenario is accepted on it."""
     link = find_link(interface)
     assert link is not None
-    assert (link.is_can, link.is_up, ask_bitrate_bps(link.index)) == (True, True, None)
+    assert (link.is_can, link.is_up, link.bitrate_bps) == (True, True, None)
     assert interface in list_can_links()
     open_transport(f"socketcan:{interface}", node="fsw", bitrate_bps=125_000).close()
 

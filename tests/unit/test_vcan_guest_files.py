@@ -11,13 +11,14 @@ from pathlib import Path
 
 import pytest
 
-from tools.vcan import initramfs, machine, modules, netlink, plan, qemu, uml
+from bus.wire import rtnetlink
+from tools.vcan import initramfs, machine, modules, plan, qemu, uml
 from tools.vcan.errors import VcanError
 
 
 def test_links_agree_with_sysfs() -> None:
     """The kernel's own other view of the same interfaces: /sys/class/net and if_nameindex()."""
-    links = netlink.list_links()
+    links = rtnetlink.list_links()
     assert [(link.index, link.name) for link in links] == sorted(socket.if_nameindex())
     for link in links:
         base = Path("/sys/class/net", link.name)
@@ -31,15 +32,15 @@ def test_links_agree_with_sysfs() -> None:
 def test_the_kernel_refuses_what_it_should_and_says_why() -> None:
     """An error answer becomes an OSError with the kernel's number; here for a name too long for any interface."""
     with pytest.raises(OSError, match=r".+") as caught:
-        netlink.add_vcan("a-name-that-is-too-long")
+        rtnetlink.add_vcan("a-name-that-is-too-long")
     assert caught.value.errno in (1, 22, 34)  # EPERM without rights, EINVAL or ERANGE with them
 
 
 def test_attributes_have_the_layout_of_rtnetlink() -> None:
     """rtnetlink(7): u16 length with header, u16 type, value, padding to four bytes that the length leaves out."""
-    packed = netlink.pack_attribute(3, b"vcan0\0")
+    packed = rtnetlink.pack_attribute(3, b"vcan0\0")
     assert packed == struct.pack("=HH", 10, 3) + b"vcan0\0" + b"\0\0"
-    assert list(netlink.split_attributes(packed + netlink.pack_attribute(0x8012, b"x"))) == [
+    assert list(rtnetlink.split_attributes(packed + rtnetlink.pack_attribute(0x8012, b"x"))) == [
         (3, b"vcan0\0"),
         (18, b"x"),
     ]

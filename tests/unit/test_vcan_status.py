@@ -9,12 +9,13 @@ import os
 import pytest
 
 from bus.errors import UsageError
-from tools.vcan import diagnosis, interfaces, native, netlink, status
+from bus.wire import rtnetlink
+from tools.vcan import diagnosis, interfaces, native, status
 from tools.vcan.errors import VcanError
 
-VCAN0 = netlink.Link(index=4, name="vcan0", kind="vcan", mtu=72, is_can=True, is_up=True)
-CAN0 = netlink.Link(index=5, name="can0", kind="can", mtu=16, is_can=True, is_up=False)
-LO = netlink.Link(index=1, name="lo", kind="", mtu=65536, is_can=False, is_up=True)
+VCAN0 = rtnetlink.Link(index=4, name="vcan0", kind="vcan", mtu=72, is_can=True, is_up=True)
+CAN0 = rtnetlink.Link(index=5, name="can0", kind="can", mtu=16, is_can=True, is_up=False)
+LO = rtnetlink.Link(index=1, name="lo", kind="", mtu=65536, is_can=False, is_up=True)
 NO_CAN = "this kernel has no CAN (AF_CAN is not supported)"
 
 
@@ -107,8 +108,8 @@ def test_up_makes_only_what_is_not_there(monkeypatch: pytest.MonkeyPatch) -> Non
     """An interface that is up is left alone; one that is missing is made."""
     made: list[str] = []
     monkeypatch.setattr(native, "socket_obstacle", lambda: None)
-    monkeypatch.setattr(netlink, "list_links", lambda: [LO, VCAN0])
-    monkeypatch.setattr(netlink, "add_vcan", made.append)
+    monkeypatch.setattr(rtnetlink, "list_links", lambda: [LO, VCAN0])
+    monkeypatch.setattr(rtnetlink, "add_vcan", made.append)
     assert interfaces.bring_up(["vcan0", "vcan7"]) == ["vcan0: is up already (vcan)", "vcan7: made and switched on"]
     assert made == ["vcan7"]
 
@@ -116,8 +117,8 @@ def test_up_makes_only_what_is_not_there(monkeypatch: pytest.MonkeyPatch) -> Non
 def test_real_adapters_and_foreign_names_are_not_touched(monkeypatch: pytest.MonkeyPatch) -> None:
     """A bit rate is the user's to choose, and an adapter is not ours to remove."""
     monkeypatch.setattr(native, "socket_obstacle", lambda: None)
-    eth0 = netlink.Link(index=2, name="eth0", kind="", mtu=1500, is_can=False, is_up=True)
-    monkeypatch.setattr(netlink, "list_links", lambda: [LO, CAN0, eth0])
+    eth0 = rtnetlink.Link(index=2, name="eth0", kind="", mtu=1500, is_can=False, is_up=True)
+    monkeypatch.setattr(rtnetlink, "list_links", lambda: [LO, CAN0, eth0])
     with pytest.raises(VcanError, match="ip link set can0 up type can bitrate 500000"):
         interfaces.bring_up(["can0"])
     with pytest.raises(UsageError, match="eth0 is there and is not a CAN interface"):
@@ -134,7 +135,7 @@ def test_a_refusal_of_the_kernel_is_explained(number: int, words: str, monkeypat
         raise OSError(number, os.strerror(number))
 
     monkeypatch.setattr(native, "socket_obstacle", lambda: None)
-    monkeypatch.setattr(netlink, "list_links", lambda: [])
-    monkeypatch.setattr(netlink, "add_vcan", refuse)
+    monkeypatch.setattr(rtnetlink, "list_links", lambda: [])
+    monkeypatch.setattr(rtnetlink, "add_vcan", refuse)
     with pytest.raises(VcanError, match=words):
         interfaces.bring_up(["vcan0"])

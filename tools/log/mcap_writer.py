@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import stat
 import struct
 import time
 import zlib
@@ -60,14 +61,29 @@ def choose_compressor(compression: Compression) -> Callable[[bytes], bytes]:
     return lambda data: data
 
 
-class McapWriter:
-    """An MCAP file under construction. What has been written is readable at any time, index or not.
+def is_device(path: Path | str) -> bool:
+    """Whether it is a device, a pipe or a file that lies in memory only: there is nothing in it to lose."""
+    try:
+        found = os.stat(path)
+    except OSError:
+        return False
+    return stat.S_ISCHR(found.st_mode) or stat.S_ISFIFO(found.st_mode) or found.st_nlink == 0
 
-    Raises RecordError when the file cannot be made or a write fails; the file then ends with its last whole record.
+
+def is_taken(path: Path | str) -> bool:
+    """Whether a new log cannot have this name, because something has it."""
+    return os.path.lexists(path) and not is_device(path)
+
+
+class McapWriter:
+    """An MCAP file under construction, made new. What has been written is readable at any time, index or not.
+
+    Raises RecordError when there is a file of that name, when it cannot be made or a write fails; the file then ends
+    with its last whole record.
     """
 
     def __init__(self, path: Path | str, *, compression: Compression = "zstd") -> None:
-        self._start(Path(path), "wb", compression)
+        self._start(Path(path), "wb" if is_device(path) else "xb", compression)
         self._put(MCAP_MAGIC, Header(profile="", library=LIBRARY))
 
     def _start(self, path: Path, mode: str, compression: Compression) -> None:
@@ -75,9 +91,8 @@ class McapWriter:
         self._compression = compression
         self._compress = choose_compressor(compression)
         self._layouts = LayoutIndex()
-        self.complete: Callable[[dict[int, Pairs], bytes], bytes] | None = (
-            None  # last hand on a chunk before it is packed
-        )
+        # The last hand on a chunk before it is packed.
+        self.complete: Callable[[dict[int, Pairs], bytes], bytes] | None = None
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
         self._chunks: list[ChunkIndex] = []
@@ -87,6 +102,8 @@ class McapWriter:
         self._size = 0
         try:
             self._file: IO[bytes] = open(path, mode, buffering=0)  # noqa: SIM115 - closed by close()
+        except FileExistsError:
+            raise RecordError(f"{path}: cannot write the log: there is a file of that name; name another one") from None
         except OSError as error:
             raise RecordError(f"{path}: cannot write the log: {error.strerror}; name another file with --out") from None
 

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import weakref
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -194,9 +195,12 @@ class Bench:
     def _open_log(self, log: Path | Literal["memory"] | None) -> tuple[Path | None, Recorder | None]:
         if log is None:
             return None, None
-        path = make_memory_file() if log == "memory" else log
+        if log == "memory":
+            fd = os.memfd_create("hilsat-run.mcap")
+            weakref.finalize(self, os.close, fd)
+            log = Path(f"/proc/self/fd/{fd}")
         attachments = list_attachments(self.resolved)
-        return path, Recorder(path, metadata=describe_run(self.resolved, "in process"), attachments=attachments)
+        return log, Recorder(log, metadata=describe_run(self.resolved, "in process"), attachments=attachments)
 
     def __enter__(self) -> Self:
         return self
@@ -205,8 +209,3 @@ class Bench:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close("failed" if error is not None else "closed")
-
-
-def make_memory_file() -> Path:
-    """The path of an empty file that lies in memory, and goes with this process."""
-    return Path(f"/proc/self/fd/{os.memfd_create('hilsat-run.mcap')}")

@@ -34,7 +34,7 @@ def describe_run(resolved: Resolved, address: str) -> dict[str, str]:
         "platform": platform.platform(),
         "python": sys.version.split()[0],
         "versions": ", ".join(f"{name} {_version(name)}" for name in NAMED_PACKAGES),
-        "git_rev": _git_revision(),
+        "git_rev": read_revision(),
     }
 
 
@@ -53,14 +53,27 @@ def _version(name: str) -> str:
         return "not installed"
 
 
-def _git_revision() -> str:
-    """Revision of the source tree that runs, with +dirty when it has changes; empty outside a checkout."""
-    here = Path(__file__).resolve().parent
+def read_revision() -> str:
+    """Revision of the source tree that runs, with +dirty when it has changes; empty unless it is a checkout of its own.
+
+    An installed copy inside somebody else's repository has no revision, and neither has a tree that git does not track.
+    """
+    home = Path(__file__).resolve().parents[2]
+    top = _ask_git(home, "rev-parse", "--show-toplevel")
+    if not top or Path(top).resolve() != home or not _ask_git(home, "ls-files", "--error-unmatch", "tools/cli.py"):
+        return ""
+    return _ask_git(home, "describe", "--always", "--dirty=+dirty")
+
+
+def _ask_git(home: Path, *words: str) -> str:
+    """What git says of the tree; empty when it refuses. Whoever runs us may be inside another one: GIT_DIR and the like."""
+    environment = {key: value for key, value in os.environ.items() if not key.startswith("GIT_")}
+    environment["GIT_OPTIONAL_LOCKS"] = "0"  # to look is not to write
     try:
         done = subprocess.run(
-            ["git", "-C", str(here), "describe", "--always", "--dirty=+dirty"],
-            capture_output=True, text=True, timeout=5, check=False,
+            ["git", "-C", str(home), *words],
+            capture_output=True, timeout=5, check=False, env=environment, stdin=subprocess.DEVNULL,
         )  # fmt: skip
     except (OSError, subprocess.TimeoutExpired):
         return ""
-    return done.stdout.strip()
+    return os.fsdecode(done.stdout).strip() if done.returncode == 0 else ""

@@ -3,7 +3,7 @@
     python -P -m tools.run.recorder_process --out run.mcap --meta meta.json --source 1:FD --source 2:FD
 
 META is a JSON object: metadata {text: text}, attachments [{name, media_type, text}], realtime true or false. It ends
-when every pipe has closed, and says nothing when all went well. The first SIGTERM or SIGINT is for the other
+when every pipe has closed, and says nothing when all went well. The first SIGTERM, SIGINT or SIGHUP is for the other
 processes, whose end closes the pipes; a second one closes the log at once. Exit codes: 0, 2 usage, 3 cannot write.
 """
 
@@ -21,7 +21,8 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, Final
 
-from bus.errors import HilsatError, RecordError, UsageError
+from bus.errors import RecordError, UsageError
+from bus.process import ENDING, guard_process
 from bus.telemetry.link import ANNOUNCE, CLOSE, HEADER, JSON, MAGIC, TICK
 from tools.log.recorder import Recorder, RecordSummary, RunAttachment
 
@@ -119,7 +120,7 @@ def record(
     def count(number: int, frame: FrameType | None) -> None:
         signals.append(number)
 
-    previous = {number: signal.signal(number, count) for number in (signal.SIGTERM, signal.SIGINT)}
+    previous = {number: signal.signal(number, count) for number in ENDING}
     streams = {fd: SourceStream(recorder, source, fd) for source, fd in sources}
     poller = select.poll()
     for fd in streams:
@@ -151,23 +152,22 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--meta", type=Path, required=True, help="JSON file: metadata, attachments, realtime")
     parser.add_argument("--source", action="append", required=True, metavar="N:FD", help="1 plant, 2 flight software")
     args = parser.parse_args(argv)
-    try:
-        sources = [_parse_source(text) for text in args.source]
-        meta = _read_meta(args.meta)
-        clock = HeldClock()
-        recorder = Recorder(
-            args.out,
-            metadata=meta["metadata"],
-            attachments=[RunAttachment(a["name"], a["media_type"], a["text"].encode()) for a in meta["attachments"]],
-            sources=[source for source, _ in sources],
-            realtime=meta["realtime"],
-            clock=clock,
-        )
-        record(recorder, sources, clock, meta["realtime"])
-    except HilsatError as error:
-        print(f"recorder: {error}", file=sys.stderr)
-        return error.exit_code
-    return 0
+    return guard_process("recorder", lambda: _record(args))
+
+
+def _record(args: argparse.Namespace) -> None:
+    sources = [_parse_source(text) for text in args.source]
+    meta = _read_meta(args.meta)
+    clock = HeldClock()
+    recorder = Recorder(
+        args.out,
+        metadata=meta["metadata"],
+        attachments=[RunAttachment(a["name"], a["media_type"], a["text"].encode()) for a in meta["attachments"]],
+        sources=[source for source, _ in sources],
+        realtime=meta["realtime"],
+        clock=clock,
+    )
+    record(recorder, sources, clock, meta["realtime"])
 
 
 def _parse_source(text: str) -> tuple[int, int]:
@@ -179,7 +179,7 @@ def _parse_source(text: str) -> tuple[int, int]:
 
 def _read_meta(path: Path) -> dict[str, Any]:
     try:
-        given: dict[str, Any] = json.loads(path.read_text())
+        given: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise UsageError(f"--meta {path}: cannot be read as JSON: {error}") from None
     return {"metadata": {}, "attachments": [], "realtime": False} | given

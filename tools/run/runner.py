@@ -10,7 +10,6 @@ import contextlib
 import json
 import os
 import select
-import signal
 import subprocess
 import sys
 import tempfile
@@ -18,18 +17,18 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
+from bus.errors import RecordError
+from bus.process import Interrupted, name_signal, raise_signals
 from tools.config.scenario import Resolved
-from tools.run.processes import Process, make_pipe, memory_mb, share_processor, start, stop
+from tools.run.children import Process, make_pipe, memory_mb, share_processor, start, stop
+from tools.run.directory import LOG, keep_words
 from tools.run.provenance import describe_run, list_attachments
+from tools.run.watch import LOST, RECORDER_PATIENCE_S, STILL_S, Failure, Watch
 
 POLL_S = 0.1
 END_POLL_S = 0.005
-GRACE_S = 6.0  # after one process ended, how long the others may take to notice by themselves
-RECORDER_PATIENCE_S = 10.0  # how long the recorder may take to finish the file once both sides have ended
-STILL_S = 12.0  # without progress, everything is taken to hang
 
 
 @dataclass(slots=True)
@@ -46,43 +45,42 @@ class RunReport:
     details: dict[str, Any] = field(default_factory=dict)  # what the plant reported of itself
 
 
-class Interrupted(Exception):
-    """SIGINT or SIGTERM arrived at the runner; carries the number."""
-
-
 def run_processes(resolved: Resolved, out_dir: Path, on_progress: Callable[[int], None]) -> RunReport:
-    """Run the scenario in three processes and return how it ended."""
+    """Run the scenario in three processes and return how it ended. Raises RecordError without a temporary directory."""
     out_dir.mkdir(parents=True, exist_ok=True)
-    with contextlib.ExitStack() as stack:
+    with raise_signals(), make_private() as private:
         address = resolved.scenario.bus.address
         if address == "hub:":
-            address = "hub:" + stack.enter_context(tempfile.TemporaryDirectory(prefix="hilsat-"))
-        stack.enter_context(_signals_raise())
-        return _Supervisor(resolved, out_dir, address, on_progress).run()
+            address = f"hub:{private / 'bus'}"
+        return Supervisor(resolved, out_dir, private, address, on_progress).run()
 
 
 @contextlib.contextmanager
-def _signals_raise() -> Iterator[None]:
-    def raise_interrupted(number: int, frame: FrameType | None) -> None:
-        raise Interrupted(number)
-
-    previous = {number: signal.signal(number, raise_interrupted) for number in (signal.SIGINT, signal.SIGTERM)}
+def make_private() -> Iterator[Path]:
+    """Yield a temporary directory that only this user can enter. Raises RecordError when there is no place for one."""
     try:
-        yield
-    finally:
-        for number, handler in previous.items():
-            signal.signal(number, handler)
+        place = tempfile.TemporaryDirectory(prefix="hilsat-", ignore_cleanup_errors=True)
+    except OSError as error:
+        raise RecordError(
+            f"cannot make a temporary directory: {error.strerror}; set TMPDIR to a directory that can be written"
+        ) from None
+    with place as name:
+        yield Path(name)
 
 
-class _Supervisor:
+class Supervisor:
     """Starts the processes of one run and sees them to their end."""
 
-    def __init__(self, resolved: Resolved, out_dir: Path, address: str, on_progress: Callable[[int], None]) -> None:
+    def __init__(
+        self, resolved: Resolved, out_dir: Path, private: Path, address: str, on_progress: Callable[[int], None]
+    ) -> None:
+        """private: directory for what the processes are told and say; out_dir: for the log, and what a failed one said."""
         self._resolved = resolved
         self._out = out_dir
+        self._private = private
         self._address = address
         self._on_progress = on_progress
-        self._report = RunReport(out_dir / "run.mcap", 3)
+        self._report = RunReport(out_dir / LOG, 3)
         self._started_s = time.monotonic()
         self._last_progress_s = self._started_s
         self._buffer = b""
@@ -90,14 +88,16 @@ class _Supervisor:
         self._recorders: list[Process] = []  # one, once it has started
 
     def run(self) -> RunReport:
+        """Start them, watch them, end them."""
         progress_in, progress_out = make_pipe()
         try:
             if self._try_start(progress_out):
                 self._watch(progress_in)
         except Interrupted as interruption:
-            number = int(interruption.args[0])
-            self._report.exit_code = 128 + number
-            self._report.problems.append(f"interrupted by {signal.Signals(number).name}; the log is closed properly")
+            self._report.exit_code = 128 + interruption.number
+            self._report.problems.append(
+                f"interrupted by {name_signal(interruption.number)}; the log is closed properly"
+            )
         finally:
             self._end()
             self._read_progress(progress_in)  # the last words of the two sides
@@ -121,27 +121,28 @@ class _Supervisor:
     def _start(self, progress_out: int) -> None:
         plant_in, plant_out = make_pipe()
         fsw_in, fsw_out = make_pipe()
-        plant_file, fsw_file, meta_file = (self._out / name for name in ("plant.json", "fsw.json", "meta.json"))
-        plant_file.write_text(self._resolved.plant_json(self._address))
-        fsw_file.write_text(self._resolved.fsw_json(self._address))
-        meta_file.write_text(json.dumps(describe(self._resolved, self._address)))
-        out = self._out
+        private = self._private
+        plant_file, fsw_file, meta_file = (private / name for name in ("plant.json", "fsw.json", "meta.json"))
+        plant_file.write_text(self._resolved.plant_json(self._address), encoding="utf-8")
+        fsw_file.write_text(self._resolved.fsw_json(self._address), encoding="utf-8")
+        meta_file.write_text(json.dumps(describe(self._resolved, self._address)), encoding="utf-8")
+        traces = self._out.absolute()
         try:
             self._recorders.append(start(
                 "recorder", "tools.run.recorder_process",
                 ["--out", str(self._report.log), "--meta", str(meta_file), "--source", f"1:{plant_in}",
                  "--source", f"2:{fsw_in}"],
-                [plant_in, fsw_in], out / "recorder.err", orphan=True,
+                [plant_in, fsw_in], private / "recorder.err", traces=traces, orphan=True,
             ))  # fmt: skip
             self._sides.append(start(
                 "plant", "plant_server",
                 ["--config", str(plant_file), "--telemetry-fd", str(plant_out), "--progress-fd", str(progress_out)],
-                [plant_out, progress_out], out / "plant.err",
+                [plant_out, progress_out], private / "plant.err", traces=traces,
             ))  # fmt: skip
             self._sides.append(start(
                 "flight software", "fsw",
                 ["--config", str(fsw_file), "--telemetry-fd", str(fsw_out), "--progress-fd", str(progress_out)],
-                [fsw_out, progress_out], out / "fsw.err",
+                [fsw_out, progress_out], private / "fsw.err", traces=traces,
             ))  # fmt: skip
         finally:
             for fd in (plant_in, plant_out, fsw_in, fsw_out):
@@ -152,21 +153,22 @@ class _Supervisor:
     # -- watching --------------------------------------------------------------------------------------------------
 
     def _watch(self, progress_in: int) -> None:
-        plant = self._sides[0]
-        processes = [*self._sides, *self._recorders]
-        ended_s: float | None = None
-        while any(process.code is None for process in processes):
-            self._read_progress(progress_in)
+        """Return when all have ended, or shortly after the first has failed."""
+        watch = Watch(self._sides, self._recorders)
+        while True:
+            codes = [process.code for process in (*self._sides, *self._recorders)]
+            self._read_progress(progress_in)  # after the codes: who has ended has said before what there was to say
             now_s = time.monotonic()
-            bad = [process for process in processes if process.code not in (None, 0)]
-            if bad or plant.code == 0:
-                ended_s = ended_s or now_s
-                if now_s - ended_s > GRACE_S:
-                    break
-            elif now_s - self._last_progress_s > STILL_S:
-                self._report.problems.append(f"nothing moved for {STILL_S:g} s at tick {self._report.ticks}")
+            finished = "running_s" in self._report.details
+            if watch.look(now_s, finished, codes):
                 break
-        self._judge()
+            if not finished and now_s - self._last_progress_s > STILL_S:
+                self._report.problems.append(
+                    f"the plant has not moved for {STILL_S:g} s at about tick {self._report.ticks}: it hangs, or waits for "
+                    "the recorder"
+                )
+                break
+        self._judge(watch)
 
     def _read_progress(self, fd: int) -> None:
         if not select.select([fd], [], [], POLL_S)[0]:
@@ -188,38 +190,42 @@ class _Supervisor:
             else:
                 self._report.details |= what
 
-    def _judge(self) -> None:
-        """Say who failed, the most telling first: who was killed or hangs, then the recorder, whose end ends the others."""
+    def _judge(self, watch: Watch) -> None:
+        """Say who failed, the culprit first."""
         report = self._report
-        bad = [process for process in (*self._recorders, *self._sides) if process.code != 0]
-        if not bad:
+        said_errors = {"plant": "plant_error", "flight software": "fsw_error"}
+        failures = watch.list_failures({name: report.details.get(key, "") for name, key in said_errors.items()})
+        if not failures and not report.problems:
             report.exit_code = 0
             report.ticks = self._resolved.ticks
             return
-        bad.sort(key=lambda process: (process.code is not None, process.code if process.code is not None else 0))
         said: set[str] = set()  # without the name ahead of it: what both sides say is said once
-        for process in bad:
-            words = process.words()
-            if not words or (process.code is not None and process.code < 0):
-                report.problems.append(f"{process.fate()} at about tick {report.ticks}")
+        for failure in failures:
+            words = failure.process.words()
+            if not words or failure.how == LOST:
+                report.problems.append(f"{failure.fate} at about tick {report.ticks}")
             elif words.partition(": ")[2] not in said:
                 said.add(words.partition(": ")[2])
                 report.problems.append(words)
-        report.exit_code = 2 if any(process.code == 2 for process in bad) else 3
+        report.exit_code = _choose_code(failures)
 
     def _end(self) -> None:
         """First the two sides, so that the recorder sees its pipes close and finishes the file."""
         stop(self._sides)
         for recorder in self._recorders:
+            recorder.resume()
             with contextlib.suppress(subprocess.TimeoutExpired):
                 recorder.popen.wait(RECORDER_PATIENCE_S)
         stop(self._recorders)
-        for name in ("plant", "fsw", "recorder"):
-            path = self._out / f"{name}.err"
-            if path.exists() and not path.stat().st_size:
-                path.unlink()
-        for name in ("plant.json", "fsw.json", "meta.json"):
-            (self._out / name).unlink(missing_ok=True)
+        for process in (*self._sides, *self._recorders):
+            name = process.stderr_path.stem
+            if self._report.exit_code and (words := process.words()):
+                keep_words(self._out, name, words.encode(errors="surrogateescape"))
+
+
+def _choose_code(failures: list[Failure]) -> int:
+    """2 when the culprit could not be started as it was asked for, else 3."""
+    return 2 if failures and failures[0].process.code == 2 else 3
 
 
 def describe(resolved: Resolved, address: str) -> dict[str, Any]:

@@ -14,7 +14,8 @@ import termios
 from pathlib import Path
 from typing import Any
 
-from tools.vcan import netlink, plan
+from tools.vcan import plan
+from tools.vcan.namespaces import start_network
 from tools.vcan.supervisor import Command, supervise
 
 MS_BIND = 4096
@@ -44,7 +45,7 @@ def run_plan(job: Path, todo: dict[str, Any]) -> None:
     for module in todo["modules"]:
         load_module(module)
     root = build_root(job, todo)
-    netlink.start_network(todo["can"])
+    start_network(todo["can"])
     out, err = (os.open(job / name, os.O_WRONLY | os.O_APPEND) for name in plan.STREAMS)
     results = os.open(job, os.O_RDONLY | os.O_DIRECTORY)
     move_root(root)

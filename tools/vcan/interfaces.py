@@ -7,7 +7,8 @@ import re
 from collections.abc import Sequence
 
 from bus.errors import UsageError
-from tools.vcan import native, netlink
+from bus.wire import rtnetlink
+from tools.vcan import native
 from tools.vcan.diagnosis import advise
 from tools.vcan.errors import VcanError
 
@@ -44,11 +45,11 @@ def bring_up(names: Sequence[str]) -> list[str]:
     check_names(names)
     if reason := native.socket_obstacle():
         raise VcanError("\n".join([f"{', '.join(names)}: {reason}", *advise(reason)]))
-    there = {link.name: link for link in netlink.list_links()}
+    there = {link.name: link for link in rtnetlink.list_links()}
     return [bring_up_one(name, there.get(name)) for name in names]
 
 
-def bring_up_one(name: str, link: netlink.Link | None) -> str:
+def bring_up_one(name: str, link: rtnetlink.Link | None) -> str:
     if link is not None and not link.is_can:
         raise UsageError(f"{name} is there and is not a CAN interface; choose another name")
     if link is not None and link.is_up:
@@ -60,9 +61,9 @@ def bring_up_one(name: str, link: netlink.Link | None) -> str:
         )
     try:
         if link is None:
-            netlink.add_vcan(name)
+            rtnetlink.add_vcan(name)
         else:
-            netlink.switch_link(name, up=True)
+            rtnetlink.switch_link(name, up=True)
     except OSError as error:
         raise explain(name, error) from error
     return f"{name}: {'made and switched on' if link is None else 'switched on'}"
@@ -71,11 +72,11 @@ def bring_up_one(name: str, link: netlink.Link | None) -> str:
 def take_down(names: Sequence[str]) -> list[str]:
     """Remove the vcan interfaces and return what was done, a line each. Raises VcanError; UsageError for adapters."""
     check_names(names)
-    there = {link.name: link for link in netlink.list_links()}
+    there = {link.name: link for link in rtnetlink.list_links()}
     return [take_down_one(name, there.get(name)) for name in names]
 
 
-def take_down_one(name: str, link: netlink.Link | None) -> str:
+def take_down_one(name: str, link: rtnetlink.Link | None) -> str:
     if link is None:
         return f"{name}: is not there"
     if link.kind != "vcan":
@@ -83,7 +84,7 @@ def take_down_one(name: str, link: netlink.Link | None) -> str:
             f"{name} is not a vcan interface ({link.kind or 'no virtual one'}); sudo ip link set {name} down"
         )
     try:
-        netlink.delete_link(name)
+        rtnetlink.delete_link(name)
     except OSError as error:
         raise explain(name, error) from error
     return f"{name}: removed"

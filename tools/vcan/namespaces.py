@@ -10,12 +10,14 @@ import contextlib
 import ctypes
 import os
 import signal
+import socket
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
 
-from tools.vcan.processes import die_with_parent
+from bus.wire import rtnetlink
+from tools.vcan.process_tree import die_with_parent
 
 CLONE_FLAGS = {"mount": 0x20000, "user": 0x10000000, "pid": 0x20000000, "net": 0x40000000}
 MS_REC, MS_PRIVATE = 0x4000, 0x40000
@@ -43,6 +45,14 @@ def main(kinds: str, program: Sequence[str]) -> NoReturn:
     if {"pid", "mount"} <= wanted:
         mount_proc()
     os.execvp(program[0], list(program))
+
+
+def start_network(can: Sequence[str]) -> None:
+    """Furnish a fresh network namespace: loopback and the named vcan interfaces up, raw CAN sockets. Raises OSError."""
+    rtnetlink.switch_link("lo", up=True)
+    for name in can:
+        rtnetlink.add_vcan(name)
+    socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
 
 
 def try_isolate(kinds: set[str], *, with_user: bool) -> bool:

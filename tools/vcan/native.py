@@ -8,10 +8,11 @@ import socket
 from functools import cache
 from pathlib import Path
 
-from tools.vcan import netlink, plan
+from tools.vcan import plan
 from tools.vcan.errors import VcanError
 from tools.vcan.machine import Machine, Request, in_namespaces, inside_command, try_command, write_job
-from tools.vcan.processes import become_subreaper, end_descendants
+from tools.vcan.namespaces import start_network
+from tools.vcan.process_tree import become_subreaper, end_descendants
 from tools.vcan.supervisor import Command, supervise
 
 PROBE = "probe"
@@ -75,13 +76,13 @@ def prepare(job: Path, request: Request) -> Machine:
 def main(job_dir: str) -> None:
     """Inside the namespace: make the interfaces, run the plan's command, note its exit code."""
     if job_dir == PROBE:
-        netlink.start_network(["vcan0"])
+        start_network(["vcan0"])
         return
     job = Path(job_dir)
     todo = plan.read(job)
     results = os.open(job, os.O_RDONLY | os.O_DIRECTORY)
     try:
-        netlink.start_network(todo["can"])
+        start_network(todo["can"])
     except OSError as error:
         (job / plan.GUEST_LOG).write_text(f"namespace: {error}\n")
         raise SystemExit(1) from error

@@ -23,7 +23,7 @@ from tools.vcan import plan
 from tools.vcan.cache import say
 from tools.vcan.errors import GuestError, VcanError
 from tools.vcan.machine import Machine
-from tools.vcan.processes import die_with_parent, end_machine, end_processes_naming
+from tools.vcan.process_tree import die_with_parent, end_machine, end_processes_naming
 
 JOB_PREFIX = "hilsat-vcan-"
 TIMED_OUT = 124

@@ -6,7 +6,8 @@ import os
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 
-from tools.vcan import diagnosis, kernel, native, netlink, packages, qemu, uml
+from bus.wire import rtnetlink
+from tools.vcan import diagnosis, kernel, native, packages, qemu, uml
 from tools.vcan.cache import cache_dir
 
 
@@ -29,7 +30,7 @@ class Status:
     has_can: bool
     may_make_interfaces: bool
     missing: list[str]
-    interfaces: list[netlink.Link]
+    interfaces: list[rtnetlink.Link]
     backends: list[Backend]
     exec_backend: str
     time_travel_kernel: dict[str, object]
@@ -43,7 +44,7 @@ class Probes:
     can_obstacle: Callable[[], str | None] = native.socket_obstacle
     advise: Callable[[str], list[str]] = diagnosis.advise
     net_admin: Callable[[], bool] = diagnosis.has_net_admin
-    links: Callable[[], list[netlink.Link]] = netlink.list_links
+    links: Callable[[], list[rtnetlink.Link]] = rtnetlink.list_links
     kernel: Callable[[], Mapping[str, object]] = kernel.describe_kernel
     obstacles: tuple[tuple[str, Callable[[], str | None]], ...] = (
         ("native", native.find_obstacle),

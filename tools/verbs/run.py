@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
-from datetime import UTC, datetime
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from bus.errors import UsageError
+from bus.process import raise_signals
 from tools.config.loader import load_scenario
 from tools.config.scenario import Resolved
 from tools.config.scenario_files import find_scenario
+from tools.run.directory import own_directory
 from tools.run.runner import RunReport, print_progress, run_processes
 
 CLOCKS = ("lockstep", "realtime", "inprocess")
@@ -38,9 +38,13 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run, grade, draw and report; return the exit code."""
     resolved = load_scenario(find_scenario(args.scenario), _overrides(args))
-    out_dir = _make_out_dir(args.out, resolved.scenario.name)
+    with raise_signals(), own_directory(args.out, resolved.scenario.name) as out_dir:
+        return _conclude(args, resolved, _fly(args, resolved, out_dir))
+
+
+def _fly(args: argparse.Namespace, resolved: Resolved, out_dir: Path) -> RunReport:
     if args.quiet:
-        return _conclude(args, resolved, _execute(resolved, out_dir, lambda tick: None))
+        return _execute(resolved, out_dir, lambda tick: None)
     scenario = resolved.scenario
     print(
         f"{scenario.name}: {scenario.title}\n  {scenario.duration_s:g} s at {scenario.clock.tick_hz} Hz, "
@@ -50,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
     report = _execute(resolved, out_dir, print_progress(resolved.ticks))
     if sys.stderr.isatty():
         print(file=sys.stderr)
-    return _conclude(args, resolved, report)
+    return report
 
 
 def _overrides(args: argparse.Namespace) -> list[str]:
@@ -59,33 +63,16 @@ def _overrides(args: argparse.Namespace) -> list[str]:
     return [f"{key}={value}" for key, value in named.items() if value is not None] + extra
 
 
-def _make_out_dir(wanted: Path | None, name: str) -> Path:
-    if wanted is not None:
-        out_dir = wanted
-        if (out_dir / "run.mcap").exists():
-            raise UsageError(f"{out_dir}: there is a run.mcap in it already; name another directory with --out")
-    else:
-        stamp = f"{datetime.now(UTC):%Y%m%d-%H%M%S}"
-        base = Path("runs") / f"{name}-{stamp}"
-        out_dir, count = base, 1
-        while out_dir.exists():
-            count += 1
-            out_dir = base.with_name(f"{base.name}-{count}")
-    try:
-        out_dir.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UsageError(f"{out_dir}: cannot make the directory for the log: {error.strerror}; use --out") from None
-    if not os.access(out_dir, os.W_OK):
-        raise UsageError(f"{out_dir}: the directory for the log is not writable; name another one with --out")
-    return out_dir
+def _execute(resolved: Resolved, out_dir: Path, on_progress: Callable[[int], None]) -> RunReport:
+    if resolved.scenario.clock.mode != "inprocess":
+        return run_processes(resolved, out_dir, on_progress)
+    from tools.run.in_process import run_in_process
 
-
-def _execute(resolved: Resolved, out_dir: Path, on_progress: Any) -> RunReport:
-    if resolved.scenario.clock.mode == "inprocess":
-        from tools.run.in_process import run_in_process
-
-        return run_in_process(resolved, out_dir, on_progress)
-    return run_processes(resolved, out_dir, on_progress)
+    with raise_signals() as came:
+        report = run_in_process(resolved, out_dir, on_progress)
+    if came:
+        report.exit_code = 128 + came[0]
+    return report
 
 
 def _conclude(args: argparse.Namespace, resolved: Resolved, report: RunReport) -> int:

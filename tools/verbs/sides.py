@@ -8,16 +8,22 @@ Start them in two terminals, on one machine or on two with a CAN cable between t
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import os
-import tempfile
+import subprocess
 from pathlib import Path
 from typing import Any
 
-from bus.errors import UsageError
+from bus.errors import RecordError, UsageError
+from bus.process import raise_signals
 from tools.config.loader import load_scenario
 from tools.config.scenario import Resolved
 from tools.config.scenario_files import find_scenario
+from tools.log.mcap_writer import is_taken
+from tools.run.children import Process, make_pipe, start, stop
+from tools.run.runner import describe, make_private
+from tools.run.watch import RECORDER_PATIENCE_S
 
 
 def add_parser(subparsers: Any) -> None:
@@ -42,9 +48,12 @@ def run(args: argparse.Namespace) -> int:
     resolved = load_scenario(find_scenario(args.scenario), overrides + args.set)
     if resolved.scenario.bus.address == "hub:":
         raise UsageError("two separate programs need a bus to meet on: name it with --bus, for example hub:/tmp/bench")
-    with tempfile.TemporaryDirectory(prefix="hilsat-") as directory:
-        config = Path(directory) / f"{args.verb}.json"
-        config.write_text(resolved.fsw_json() if args.verb == "fsw" else resolved.plant_json())
+    if args.log is not None and is_taken(args.log):
+        raise UsageError(f"{args.log}: there is a file of that name already; name another one with --log")
+    with raise_signals(), make_private() as directory:
+        config = directory / f"{args.verb}.json"
+        text = resolved.fsw_json() if args.verb == "fsw" else resolved.plant_json()
+        config.write_text(text, encoding="utf-8")
         if args.log is None:
             return _become(args.verb, ["--config", str(config)])
         return _run_logged(resolved, args, config)
@@ -59,22 +68,31 @@ def _become(verb: str, arguments: list[str]) -> int:
 
 
 def _run_logged(resolved: Resolved, args: argparse.Namespace, config: Path) -> int:
-    from tools.run.processes import make_pipe, start
-    from tools.run.runner import describe
-
-    source = 2 if args.verb == "fsw" else 1
+    """Become that side with a recorder beside it. Raises RecordError when the recorder failed."""
     read_end, write_end = make_pipe()
-    meta = config.with_name("meta.json")
-    meta.write_text(json.dumps(describe(resolved, resolved.scenario.bus.address)))
-    words = ["--out", str(args.log), "--meta", str(meta), "--source", f"{source}:{read_end}"]
-    recorder = start(
-        "recorder", "tools.run.recorder_process", words, [read_end], config.with_name("recorder.err"), orphan=True
-    )
+    pipe = os.fstat(write_end)
+    recorder = _start_recorder(resolved, args, config, read_end)
     os.close(read_end)
     try:
         code = _become(args.verb, ["--config", str(config), "--telemetry-fd", str(write_end)])
     finally:
-        recorder.popen.wait(10.0)
+        # The side closes its end, but not when it fails before it has opened the bus.
+        with contextlib.suppress(OSError):
+            if os.path.samestat(pipe, os.fstat(write_end)):
+                os.close(write_end)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            recorder.popen.wait(RECORDER_PATIENCE_S)
+        stop([recorder])
     if recorder.code:
-        raise UsageError(recorder.words())
+        raise RecordError(recorder.words() or recorder.fate())
     return code
+
+
+def _start_recorder(resolved: Resolved, args: argparse.Namespace, config: Path, read_end: int) -> Process:
+    source = 2 if args.verb == "fsw" else 1
+    meta = config.with_name("meta.json")
+    meta.write_text(json.dumps(describe(resolved, resolved.scenario.bus.address)), encoding="utf-8")
+    words = ["--out", str(args.log), "--meta", str(meta), "--source", f"{source}:{read_end}"]
+    return start(
+        "recorder", "tools.run.recorder_process", words, [read_end], config.with_name("recorder.err"), orphan=True
+    )

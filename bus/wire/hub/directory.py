@@ -74,8 +74,15 @@ class HubDirectory:
         return plain if len(os.fsencode(plain)) < 108 else f"/proc/self/fd/{self._fd}/{SOCKET_NAME}"
 
     def remove_socket(self) -> None:
-        """Remove the socket of a host that is no more. Only for the process that holds the lock."""
+        """Remove the socket of a host that is no more. Only for the process that holds the lock.
+
+        Raises BusAddressError for something of that name that is no socket: it is somebody's, and stays.
+        """
         with contextlib.suppress(FileNotFoundError):
+            if not stat.S_ISSOCK(os.stat(SOCKET_NAME, dir_fd=self._fd, follow_symlinks=False).st_mode):
+                raise BusAddressError(
+                    f"{self.address} has a {SOCKET_NAME} that is no socket of a bus; name another directory, or move it away"
+                )
             os.unlink(SOCKET_NAME, dir_fd=self._fd)
 
     def release(self) -> None:

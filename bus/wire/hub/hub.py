@@ -18,6 +18,7 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
+from bus.errors import BusAddressError
 from bus.wire.frames import FRAME_SIZE, drop_malformed
 from bus.wire.hub.datagrams import (
     MAX_BATCH_FRAMES,
@@ -60,7 +61,11 @@ class Hub:
         self._clients: dict[int, Client] = {}
         self._members: tuple[Client, ...] = ()  # those that have said hello, in that order
         self._sizes = DatagramSizes()
-        self._listener = self._listen()
+        try:
+            self._listener = self._listen()
+        except BusAddressError:
+            self.directory.release()
+            raise
         self._epoll = select.epoll()
         self._epoll_fd = self._epoll.fileno()
         self._epoll.register(self._listener, select.EPOLLIN)
@@ -118,7 +123,8 @@ class Hub:
         if self._closed:
             return
         self._closed = True
-        self.directory.remove_socket()
+        with contextlib.suppress(BusAddressError):  # somebody took the name: what is there is not ours
+            self.directory.remove_socket()
         self._listener.close()
         for client in self._clients.values():
             self._flush(client)

@@ -1,6 +1,6 @@
 """Network interfaces over rtnetlink: listed, made, removed and switched without the `ip` program.
 
-Message layouts: linux/rtnetlink.h, linux/if_link.h; rtnetlink(7), netlink(7).
+Message layouts: linux/rtnetlink.h, linux/if_link.h, linux/can/netlink.h; rtnetlink(7), netlink(7).
 """
 
 from __future__ import annotations
@@ -8,24 +8,31 @@ from __future__ import annotations
 import os
 import socket
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 NLMSG_ERROR, NLMSG_DONE = 2, 3
 RTM_NEWLINK, RTM_DELLINK, RTM_GETLINK = 16, 17, 18
 NLM_F_REQUEST, NLM_F_ACK, NLM_F_EXCL, NLM_F_CREATE, NLM_F_DUMP = 0x1, 0x4, 0x200, 0x400, 0x300
-IFLA_IFNAME, IFLA_MTU, IFLA_LINKINFO, IFLA_INFO_KIND = 3, 4, 18, 1
+IFLA_IFNAME, IFLA_MTU, IFLA_LINKINFO = 3, 4, 18
+IFLA_INFO_KIND, IFLA_INFO_DATA, IFLA_CAN_BITTIMING = 1, 2, 1
+NLA_TYPE_MASK = 0x3FFF
 IFF_UP = 1
 ARPHRD_CAN = 280
 HEADER = struct.Struct("=IHHII")
 LINK = struct.Struct("=BxHiII")
 ATTRIBUTE = struct.Struct("=HH")
+WORD = struct.Struct("=I")
 RECEIVE_BYTES = 1 << 18
+PATIENCE_S = 1.0  # the kernel answers at once
 
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """One network interface. `kind` is the driver's rtnl name ("vcan", "vxcan", "can"), empty for most others."""
+    """One network interface. `kind` is the driver's rtnl name ("vcan", "vxcan", "can"), empty for most others.
+
+    bitrate_bps : None for one that is virtual, or that the driver does not tell
+    """
 
     index: int
     name: str
@@ -33,14 +40,14 @@ class Link:
     mtu: int
     is_can: bool
     is_up: bool
+    bitrate_bps: int | None = None
 
 
 def list_links() -> list[Link]:
     """Return every interface of this network namespace, by index. Needs no privilege. Raises OSError."""
     request = LINK.pack(socket.AF_UNSPEC, 0, 0, 0, 0)
-    return sorted(
-        (parse_link(body) for body in exchange(RTM_GETLINK, NLM_F_DUMP, request)), key=lambda link: link.index
-    )
+    bodies = exchange(RTM_GETLINK, NLM_F_DUMP, request)
+    return sorted((parse_link(body) for body in bodies if len(body) >= LINK.size), key=lambda link: link.index)
 
 
 def add_vcan(name: str) -> None:
@@ -62,15 +69,8 @@ def switch_link(name: str, *, up: bool) -> None:
     run_command(RTM_NEWLINK, 0, LINK.pack(socket.AF_UNSPEC, 0, socket.if_nametoindex(name), flags, IFF_UP))
 
 
-def start_network(can: Sequence[str]) -> None:
-    """Furnish a fresh network namespace: loopback and the named vcan interfaces up, raw CAN sockets. Raises OSError."""
-    switch_link("lo", up=True)
-    for name in can:
-        add_vcan(name)
-    socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
-
-
 def run_command(message_type: int, flags: int, body: bytes) -> None:
+    """Send one request and wait until the kernel has done it. Raises OSError."""
     for _ in exchange(message_type, NLM_F_ACK | flags, body):
         pass
 
@@ -78,6 +78,7 @@ def run_command(message_type: int, flags: int, body: bytes) -> None:
 def exchange(message_type: int, flags: int, body: bytes) -> Iterator[bytes]:
     """Send one request and yield the bodies of the answers until the kernel says it is done. Raises OSError."""
     with socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, socket.NETLINK_ROUTE) as sock:
+        sock.settimeout(PATIENCE_S)
         sock.bind((0, 0))
         sock.send(HEADER.pack(HEADER.size + len(body), message_type, NLM_F_REQUEST | flags, 1, 0) + body)
         while True:
@@ -96,6 +97,8 @@ def split_messages(data: bytes) -> Iterator[tuple[int, bytes]]:
     """Yield (type, body) of each message of a datagram."""
     while len(data) >= HEADER.size:
         length, message_type, _, _, _ = HEADER.unpack_from(data)
+        if length < HEADER.size:
+            return
         yield message_type, data[HEADER.size : length]
         data = data[align(length) :]
 
@@ -105,13 +108,16 @@ def parse_link(body: bytes) -> Link:
     _, hardware, index, flags, _ = LINK.unpack_from(body)
     found = dict(split_attributes(body[LINK.size :]))
     info = dict(split_attributes(found.get(IFLA_LINKINFO, b"")))
+    timing = dict(split_attributes(info.get(IFLA_INFO_DATA, b""))).get(IFLA_CAN_BITTIMING, b"")
+    is_can = hardware == ARPHRD_CAN
     return Link(
         index=index,
         name=os.fsdecode(found.get(IFLA_IFNAME, b"").rstrip(b"\0")),
         kind=os.fsdecode(info.get(IFLA_INFO_KIND, b"").rstrip(b"\0")),
         mtu=int.from_bytes(found.get(IFLA_MTU, b"\0"), "little"),
-        is_can=hardware == ARPHRD_CAN,
+        is_can=is_can,
         is_up=bool(flags & IFF_UP),
+        bitrate_bps=(WORD.unpack_from(timing)[0] or None) if is_can and len(timing) >= WORD.size else None,
     )
 
 
@@ -121,7 +127,7 @@ def split_attributes(data: bytes) -> Iterator[tuple[int, bytes]]:
         length, kind = ATTRIBUTE.unpack_from(data)
         if length < ATTRIBUTE.size:
             return
-        yield kind & 0x3FFF, data[ATTRIBUTE.size : length]
+        yield kind & NLA_TYPE_MASK, data[ATTRIBUTE.size : length]
         data = data[align(length) :]
 
 
@@ -132,4 +138,5 @@ def pack_attribute(kind: int, value: bytes) -> bytes:
 
 
 def align(length: int) -> int:
+    """The length rounded up to whole words [bytes]."""
     return (length + 3) & ~3

@@ -13,6 +13,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from bus.process import name_signal
+from bus.trace import PLACE
+
 PR_SET_PDEATHSIG = 1
 TERM_PATIENCE_S = 3.0  # between asking a process to end and ending it
 _LIBC = ctypes.CDLL(None, use_errno=True)
@@ -36,6 +39,11 @@ class Process:
         """Exit code once it has ended; minus the signal's number when a signal ended it."""
         return self.popen.poll()
 
+    @property
+    def stopped(self) -> bool:
+        """Whether a signal holds it (SIGSTOP), or a debugger."""
+        return self.code is None and _read_state(self.popen.pid) in ("T", "t")
+
     def words(self) -> str:
         """What it wrote on stderr."""
         try:
@@ -43,31 +51,46 @@ class Process:
         except OSError:
             return ""
 
+    def resume(self) -> None:
+        """Let it go on if a signal holds it."""
+        if self.code is None:
+            self.popen.send_signal(signal.SIGCONT)
+
     def fate(self) -> str:
         """How it ended, in words."""
         code = self.code
         if code is None:
-            return f"{self.name} is still running"
+            return f"{self.name} {'was stopped (SIGSTOP)' if self.stopped else 'is still running'}"
         if code < 0:
-            return f"{self.name} was killed by {signal.Signals(-code).name}"
+            return f"{self.name} was killed by {name_signal(-code)}"
         return f"{self.name} ended with exit code {code}"
 
 
 def start(
-    name: str, module: str, arguments: Sequence[str], fds: Sequence[int], stderr_path: Path, *, orphan: bool = False
+    name: str,
+    module: str,
+    arguments: Sequence[str],
+    fds: Sequence[int],
+    stderr_path: Path,
+    *,
+    traces: Path | None = None,
+    orphan: bool = False,
 ) -> Process:
     """Start `python -P -m module` in a session of its own, so that Ctrl-C reaches only the runner.
 
     fds    : descriptors it inherits
+    traces : directory for the traceback of what it did not foresee; None: as it is for this process
     orphan : it outlives a killed runner (the recorder: it ends when its pipes close)
     """
-    with open(stderr_path, "wb") as stderr:
+    environment = None if traces is None else {PLACE: str(traces)} | os.environ
+    with open(stderr_path, "xb") as stderr:
         popen = subprocess.Popen(
             [sys.executable, "-P", "-m", module, *arguments],
             stdin=subprocess.DEVNULL,
             stdout=stderr,
             stderr=stderr,
             pass_fds=tuple(fds),
+            env=environment,
             start_new_session=True,
             preexec_fn=None if orphan else _end_with_parent,
         )
@@ -79,7 +102,7 @@ def stop(processes: Sequence[Process], patience_s: float = TERM_PATIENCE_S) -> N
     for process in processes:
         if process.code is None:
             process.popen.send_signal(signal.SIGTERM)
-            process.popen.send_signal(signal.SIGCONT)
+            process.resume()
     until = time.monotonic() + patience_s
     for process in processes:
         try:
@@ -102,6 +125,14 @@ def share_processor(*processes: Process) -> None:
             os.sched_setaffinity(process.popen.pid, chosen)
             # The first frame of a batch must not take the processor away from its sender before the last one is out.
             os.sched_setscheduler(process.popen.pid, os.SCHED_BATCH, os.sched_param(0))
+
+
+def _read_state(pid: int) -> str:
+    """The state letter of proc_pid_stat(5); empty when the process is gone."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text(errors="replace").rpartition(")")[2].split()[0]
+    except (OSError, IndexError):
+        return ""
 
 
 def memory_mb(process: Process) -> float:
