@@ -281,4 +281,4 @@ def test_large_file_is_not_read(tmp_path: Path) -> None:
     file = tmp_path / "run.mcap"
     with file.open("wb") as out:
         out.truncate(5_000_000)
-    assert one_problem(file) == f"{file}: is larger than 4 MB: not a scenario file"
+    assert one_problem(file) == f"{file}: is larger than 1 MB: not a scenario file"
