@@ -196,7 +196,7 @@ def test_aliases_that_unfold_without_end_are_refused(tmp_path: Path) -> None:
     lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x]"]
     lines += [f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]" for n in range(1, 9)]
     got = findings(tmp_path, "\n".join(lines))
-    assert any("aliases unfold to more than 100000 values" in message for message in got)
+    assert any("aliases unfold to more than 50000 values" in message for message in got)
 
 
 def test_deep_nesting_is_refused(tmp_path: Path) -> None:

@@ -88,8 +88,9 @@ def check_signal(signal: str, inside: Topics | None = None) -> list[tuple[str, s
     tree, complaint = _parse(signal)
     if tree is None:
         return [("signal", complaint)]
-    problems = [word for node in ast.walk(tree) if (word := _check_node(node)) is not None]
-    if not any(isinstance(node, ast.Attribute) for node in ast.walk(tree)):
+    nodes = list(ast.walk(tree))
+    problems = [word for node in nodes if (word := _check_node(node)) is not None]
+    if not any(isinstance(node, ast.Attribute) for node in nodes):
         problems.append("names no logged signal, such as truth.attitude.error_deg")
     return [("signal", word) for word in problems or check_names(tree, inside)]
 

@@ -28,7 +28,7 @@ def list_signals() -> dict[str, dict[str, int]]:
 
 
 def check_names(tree: ast.Expression, inside: Topics | None = None) -> list[str]:
-    """What is wrong with names and shapes in a well-formed signal expression.
+    """What is wrong with names and shapes in a well-formed signal expression: the first thing found of each.
 
     inside : the fields of OPEN_TOPICS, as far as they have any; None: not known yet
     """
@@ -41,7 +41,8 @@ def check_names(tree: ast.Expression, inside: Topics | None = None) -> list[str]
             return UNKNOWN
         if node.attr in topics.get(topic, ()):
             return topics[topic][node.attr]
-        problems.append(_explain(topic, node.attr, topics, inside))
+        if not problems:
+            problems.append(_explain(topic, node.attr, topics, inside))
         return UNKNOWN
 
     try:

@@ -17,11 +17,11 @@ from bus.settings import KeyPath, join_key
 from bus.words import LONGEST, describe
 from tools.config.findings import Finding, Place, Source
 
-MAX_NODES = 100_000  # values of a text, aliases unfolded: a scenario has a few hundred
+MAX_NODES = 50_000  # values of a text, aliases unfolded: a scenario has a few hundred
 MAX_DEPTH = 50  # mappings and lists inside each other: a scenario has five
 MAX_FINDINGS = 100  # that are kept of one text; more are counted
 LONGEST_KEY, LONGEST_NUMBER = 200, 400  # characters
-LONGEST_EXPLAINED = 16_000  # characters of a broken text that the slow parser may look at for its better words
+LONGEST_EXPLAINED = 8_000  # characters of a broken text that the slow parser may look at for its better words
 
 UNREADABLE = (yaml.YAMLError, RecursionError, ValueError)
 
@@ -119,7 +119,10 @@ def read_yaml(source: Source) -> tuple[Node | None, list[Finding]]:
     if root is None:
         return None, []
     reader = _Reader(source)
-    return reader.read(root, (), None), reader.list_findings()
+    try:
+        return reader.read(root, (), None), reader.list_findings()
+    except _TooMuch as error:
+        return None, [_explain(error, source)]
 
 
 def _measure(text: str) -> None:
@@ -201,14 +204,13 @@ class _Reader:
     def read(self, node: Any, path: KeyPath, key_place: Place | None) -> Node:
         place = self.place(node)
         self.count += 1
-        if id(node) in self.open or len(self.open) > MAX_DEPTH or self.count > MAX_NODES:
-            if id(node) in self.open and self.count <= MAX_NODES:
-                self.add(place, path, "is an alias of something that contains it")
-            elif self.count <= MAX_NODES:
-                self.add(place, path, f"is nested too deeply: more than {MAX_DEPTH} levels")
-            elif self.count == MAX_NODES + 1:
-                self.add(place, path, f"aliases unfold to more than {MAX_NODES} values")
+        if self.count > MAX_NODES:
+            raise _TooMuch(node.start_mark, f"aliases unfold to more than {MAX_NODES} values")
+        if id(node) in self.open:
+            self.add(place, path, "is an alias of something that contains it")
             return Node(None, place, key_place)
+        if len(self.open) > MAX_DEPTH:
+            raise _TooMuch(node.start_mark, f"is nested too deeply: more than {MAX_DEPTH} levels")
         if isinstance(node, yaml.ScalarNode):
             return Node(self.scalar(node, path), place, key_place)
         self.open.add(id(node))
@@ -229,7 +231,7 @@ class _Reader:
         for key_node, value_node in node.value:
             place = self.place(key_node)
             if key_node.tag == _TAG + "merge":
-                merged |= self.merge(value_node, path)
+                merged.update(self.merge(value_node, path))
                 continue
             key = key_node.value if isinstance(key_node, yaml.ScalarNode) else None
             if key is None or key_node.tag != _TAG + "str":
@@ -254,8 +256,8 @@ class _Reader:
             if not isinstance(part, yaml.MappingNode):
                 self.add(self.place(part), (*path, "<<"), "needs a mapping to take keys from")
                 continue
-            read = self.read(part, path, None)
-            result = (read.value or {}) | result
+            for key, child in (self.read(part, path, None).value or {}).items():
+                result.setdefault(key, child)
         return result
 
     def scalar(self, node: Any, path: KeyPath) -> Any:
