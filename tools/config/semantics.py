@@ -15,6 +15,7 @@ from typing import Any
 from bus.errors import BusLoadError
 from bus.icd.load import check_load
 from bus.settings import NOTHING, KeyPath, Problem, Reading, fields_of, strip_annotations
+from bus.units import DEG
 from plant_server.config import FaultConfig, PlantConfig
 from plant_server.faults import check_fault
 from plant_server.validation import explain_inertia, validate
@@ -24,6 +25,7 @@ from tools.config.wire_checks import check_address, check_ranges
 NANO = 1_000_000_000
 MAX_TICKS = 1_000_000_000  # of a run
 MAX_STEPS = 10_000  # integration steps of a tick
+MOST_TURN_RAD = 1.0  # in an integration step, at the start
 LEAST_MOMENT_KGM2 = 1e-9  # smallest moment of inertia that is computed with
 PERIOD_TOLERANCE = 0.01  # relative; what the algorithms themselves accept (StepSizeError)
 
@@ -108,6 +110,11 @@ def check_plant(parts: dict[KeyPath, Any]) -> Problems:
         )
         yield Problem(("plant", "step_s"), word)
         parts = {path: value for path, value in parts.items() if path not in _WITH_STEP}
+    rate_deg_s = parts.get(("plant", "body", "rate_deg_s"))
+    if rate_deg_s is not None and step_s is not None and math.hypot(*rate_deg_s) * DEG * step_s > MOST_TURN_RAD:
+        most = MOST_TURN_RAD / step_s / DEG
+        word = f"{math.hypot(*rate_deg_s):g} deg/s cannot be followed in steps of {step_s:g} s; at most {most:g} deg/s"
+        yield Problem(("plant", "body", "rate_deg_s"), word)
     config = _complete(PlantConfig, NOTHING, ("plant",), parts, 1 / tick_hz)
     for problem in validate(config, 1 / tick_hz):
         if ("plant", *problem.path) in parts:
