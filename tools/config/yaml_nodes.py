@@ -115,7 +115,8 @@ def read_yaml(source: Source) -> tuple[Node | None, list[Finding]]:
     except _TooMuch as error:
         return None, [_explain(error, source)]
     except UNREADABLE as error:
-        return None, [_explain(_find_better_words(source.text) or error, source)]
+        better = None if "nesting depth" in str(error) else _find_better_words(source.text)
+        return None, [_explain(better or error, source)]
     if root is None:
         return None, []
     reader = _Reader(source)
@@ -301,7 +302,9 @@ def _explain(error: Exception, source: Source) -> Finding:
     words = getattr(error, "problem", None) or str(error)
     if isinstance(error, _TooMuch):
         return Finding(place, "", words)
-    if "'\\t'" in words:
+    if "nesting depth" in words:
+        words = "is nested too deeply"
+    elif "'\\t'" in words:
         words = "a tab stands where YAML wants spaces"
     elif getattr(error, "context", None):
         words = f"{words} ({error.context})"  # type: ignore[attr-defined]
