@@ -163,7 +163,7 @@ def number_spots(value: Any) -> list[tuple[Any, Any]]:
     ]
 
 
-@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(st.data())
 def test_any_number_is_computed_with_or_explained(data: st.DataObject) -> None:
     """Any number at any place of a scenario that ships: sound, built and printable, or findings; soon, and never else."""
@@ -180,7 +180,7 @@ def test_any_number_is_computed_with_or_explained(data: st.DataObject) -> None:
         summarise(examination.resolved)
 
 
-@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(st.data())
 def test_any_text_is_taken_or_explained_on_its_own_line(data: st.DataObject) -> None:
     """Any text in place of any text of a scenario that ships: no finding breaks a line but to show the source."""
@@ -226,8 +226,8 @@ def mutate_text(chance: random.Random, text: str) -> str:
 
 PIECES = (
     "1e150", "-1e308", ".nan", "-.inf", "0x" + "f" * 400, "9" * 500, "1e-300", "0", "-1", "1e12", "18446744073709551616",
-    "null", "true", "{}", "[]", "&a", "*a", "<<: *a", "!!float", "\0", "\t", "\x85", "\u2028", "\ud7ff", "\U0001f6f0", "- ", ": ",
-    "? ", "{", "[", "}", "]", "'", '"', "|", ">", "%", "---", "...", "extends: zhang2018", "kind: mekf", "kind: practical",
+    "null", "true", "{}", "[]", "&a", "*a", "<<: *a", "!!float", "\0", "\t", "\x85", "\u2028", "\ud7ff", "\U0001f6f0", "- ",
+    "? ", ": ", "{", "[", "}", "]", "'", '"', "|", ">", "%", "---", "...", "extends: zhang2018", "kind: mekf", "kind: practical",
     "kind: wang2010", "fsw.law.beta[0]", "norm(fsw.fdi.gyro_state)", "hub:/dev/null/x", "memory:", "#",
 )  # fmt: skip
 
@@ -239,7 +239,7 @@ def test_five_thousand_mutated_files_are_scenarios_or_explained(tmp_path: Path) 
     files = sorted((ROOT / "scenarios").glob("*.yaml"))
     for file in files:
         shutil.copy(file, tmp_path)
-    sound = 0
+    sound = unexplained = 0
     for number in range(5000):
         file = tmp_path / "mutated.yaml"
         data = mutate_text(chance, chance.choice(files).read_text()).encode("utf-8", "surrogatepass")
@@ -252,8 +252,9 @@ def test_five_thousand_mutated_files_are_scenarios_or_explained(tmp_path: Path) 
             load_scenario(file)
             sound += 1
         except ConfigError as error:
-            assert str(error), number
+            unexplained += not str(error)
         assert time.process_time() - start_s < 5.0, number
+    assert unexplained == 0
     assert 100 < sound < 4500  # the mutations are neither all harmless nor all fatal
 
 
