@@ -227,7 +227,8 @@ def mutate_text(chance: random.Random, text: str) -> str:
 PIECES = (
     "1e150", "-1e308", ".nan", "-.inf", "0x" + "f" * 400, "9" * 500, "1e-300", "0", "-1", "1e12", "18446744073709551616",
     "null", "true", "{}", "[]", "&a", "*a", "<<: *a", "!!float", "\0", "\t", "\x85", "\u2028", "\ud7ff", "\U0001f6f0", "- ",
-    "? ", ": ", "{", "[", "}", "]", "'", '"', "|", ">", "%", "---", "...", "extends: zhang2018", "kind: mekf", "kind: practical",
+    "? ", ": ",
+    "{", "[", "}", "]", "'", '"', "|", ">", "%", "---", "...", "extends: zhang2018", "kind: mekf", "kind: practical",
     "kind: wang2010", "fsw.law.beta[0]", "norm(fsw.fdi.gyro_state)", "hub:/dev/null/x", "memory:", "#",
 )  # fmt: skip
 
