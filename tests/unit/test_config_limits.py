@@ -168,6 +168,7 @@ MEGABYTE: dict[str, str] = {
     "one key some thousand times": "name: a\n" * 20_000,
     "broken": "a: b: c\n" * 120_000,
     "broken, and short enough to be explained": "- [a, b]\n" * 880 + "]",
+    "broken at its end": "a\n" * 500_000 + ": ]",
     "open brackets": "[" * 1_000_000,
     "few open brackets": "[" * 7_900,
     "dashes": "- " * 500_000,
@@ -187,11 +188,11 @@ MEGABYTE: dict[str, str] = {
 
 @pytest.mark.parametrize("kind", MEGABYTE)
 def test_no_text_of_a_megabyte_takes_long_to_be_refused(kind: str) -> None:
-    """Five seconds of processor time for any of them; some took minutes, and one for ever."""
+    """Three seconds of processor time for any of them; some took minutes, and one for ever."""
     start_s = time.process_time()
     examination = examine_text(MEGABYTE[kind], str(ZHANG))
     words = [str(finding) for finding in examination.findings]
-    assert time.process_time() - start_s < 5.0
+    assert time.process_time() - start_s < 3.0
     assert examination.resolved is None
     assert 1 <= len(words) <= 100
     assert all(len(word) < 1500 for word in words)
