@@ -35,7 +35,8 @@ def check_place(path: Path) -> None:
         if os.path.islink(place):
             raise BusAddressError(f"hub:{path}: {place} is a link that leads nowhere; name another directory")
         if os.path.lexists(place):
-            raise BusAddressError(f"hub:{path}: {place} is not a directory; name another one")
+            made = "" if place == path else f" cannot be made: {place}"
+            raise BusAddressError(f"hub:{path}{made} is not a directory; name another one")
 
 
 class HubDirectory:
