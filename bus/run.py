@@ -7,7 +7,10 @@ import json
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
+from bus.texts import Name
 from bus.units import Ge, Gt, Le, Seconds, Unit
+
+Seed = Annotated[int, Ge(0), Le(2**64 - 1)]
 
 # What decides the bytes of a run. Bus, clock mode and grading may differ between runs of the same bytes.
 HASHED_KEYS = ("seed", "duration_s", "plant", "faults", "fsw")
@@ -33,8 +36,8 @@ class BusConfig:
 class RunConfig:
     """The part of a scenario that both sides get: key `run` of the file each process is started with."""
 
-    name: str
-    seed: Annotated[int, Ge(0)]
+    name: Name
+    seed: Seed
     duration_s: Annotated[Seconds, Gt(0)]
     clock: ClockConfig = field(default_factory=ClockConfig)
     bus: BusConfig = field(default_factory=BusConfig)

@@ -11,6 +11,7 @@ import json
 import math
 import types
 import typing
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -19,7 +20,8 @@ from typing import Annotated, Any, Literal, TypeVar, Union
 from annotated_types import Ge, Gt, Le, Lt
 
 from bus.errors import ConfigError
-from bus.units import Unit
+from bus.texts import SHORT, Text, explain_text
+from bus.units import ANY_REACH, MOST_LISTED, REACH, WHOLE_REACH, Unit
 from bus.words import describe, nearest
 
 T = TypeVar("T")
@@ -27,6 +29,11 @@ KeyPath = tuple[str | int, ...]
 
 INVALID: Any = object()  # stands for a value that could not be built
 NOTHING: Any = object()  # stands for the default of a field that has none
+
+MAX_UNKNOWN = 20  # unknown keys of one mapping that are named; more are counted
+MAX_GUESSES = (
+    20  # near misses that are looked for in one reading: a file of nothing but typing errors is something else
+)
 
 
 # -- building ------------------------------------------------------------------------------------------------------
@@ -48,9 +55,10 @@ class Reading:
     what is sound even when something else is not.
     """
 
-    __slots__ = ("parts", "problems", "value")
+    __slots__ = ("_guesses", "parts", "problems", "value")
 
     def __init__(self, cls: Any, data: object) -> None:
+        self._guesses = 0
         self.problems: list[Problem] = []
         self.parts: dict[KeyPath, Any] = {}
         self.value: Any = _read(cls, data, (), self)
@@ -58,6 +66,11 @@ class Reading:
     def add(self, path: KeyPath, message: str, *, at_key: bool = False) -> Any:
         self.problems.append(Problem(path, message, at_key))
         return INVALID
+
+    def guess(self, word: str, known: Iterable[str]) -> str | None:
+        """The known word that was perhaps meant; None when none is close, or after MAX_GUESSES of them."""
+        self._guesses += 1
+        return nearest(word, known) if self._guesses <= MAX_GUESSES else None
 
 
 def build(cls: type[T], data: object, where: str) -> T:
@@ -147,6 +160,11 @@ def unit_of(notes: tuple[Any, ...]) -> str:
     return next((note.symbol for note in reversed(notes) if isinstance(note, Unit)), "")
 
 
+def find_unit(kind: Any) -> str:
+    """Unit symbol of a setting, through unions with None ('' when there is none)."""
+    return unit_of(_all_notes(kind))
+
+
 def limits_of(notes: tuple[Any, ...]) -> str:
     """Allowed range in words: '> 0, <= 0.1' ('' when there is none)."""
     words = []
@@ -199,12 +217,7 @@ def read_keys(known: dict[str, tuple[Any, Any]], data: object, at: KeyPath, out:
     if not isinstance(data, dict):
         out.add(at, f"{describe(data)} where a mapping is needed, with the keys {', '.join(known)}")
         return dict.fromkeys(known, INVALID)
-    meant = set()
-    for key in data:
-        if key not in known:
-            guess = nearest(str(key), known)
-            meant.add(guess)
-            out.add((*at, key), _say_unknown(guess, known), at_key=True)
+    meant = _tell_unknown(known, data, at, out)
     values: dict[str, Any] = {}
     for name, (kind, default) in known.items():
         if name in data:
@@ -218,6 +231,19 @@ def read_keys(known: dict[str, tuple[Any, Any]], data: object, at: KeyPath, out:
                 unit = unit_of(strip_annotations(kind)[1])
                 out.add((*at, name), "is missing" + (f" [{unit}]" if unit else ""), at_key=True)
     return values
+
+
+def _tell_unknown(known: dict[str, tuple[Any, Any]], data: dict[Any, Any], at: KeyPath, out: Reading) -> set[str]:
+    """Add a problem for each unknown key, up to MAX_UNKNOWN; return the known keys that were perhaps meant."""
+    unknown = [key for key in data if key not in known]
+    meant = set()
+    for key in unknown[:MAX_UNKNOWN]:
+        if guess := out.guess(str(key), known):
+            meant.add(guess)
+        out.add((*at, key), _say_unknown(guess, known), at_key=True)
+    if len(unknown) > MAX_UNKNOWN:
+        out.add(at, f"has {len(unknown) - MAX_UNKNOWN} more unknown keys; there are: {', '.join(known)}", at_key=True)
+    return meant
 
 
 def _read_tagged(members: tuple[Any, ...], data: object, at: KeyPath, out: Reading) -> Any:
@@ -236,6 +262,8 @@ def _read_list(kinds: tuple[Any, ...], data: object, at: KeyPath, out: Reading, 
     if not isinstance(data, list | tuple):
         return out.add(at, f"{describe(data)} where a list is needed")
     if kinds[-1] is Ellipsis:
+        if len(data) > MOST_LISTED:
+            return out.add(at, f"has {len(data)} entries, at most {MOST_LISTED}")
         kinds = (kinds[0],) * len(data)
     elif len(kinds) != len(data):
         return out.add(at, f"has {len(data)} entries, needs {len(kinds)}")
@@ -249,14 +277,14 @@ def _read_list(kinds: tuple[Any, ...], data: object, at: KeyPath, out: Reading, 
 def _read_word(words: tuple[Any, ...], data: object, at: KeyPath, out: Reading) -> Any:
     if isinstance(data, str) and data in words:
         return data
-    guess = nearest(data, words) if isinstance(data, str) else None
+    guess = out.guess(data, words) if isinstance(data, str) else None
     hint = f' did you mean "{guess}"?' if guess else ""
     return out.add(at, f"{describe(data)} is not known;{hint} there are: {', '.join(map(str, words))}")
 
 
 def _read_scalar(kind: Any, data: object, at: KeyPath, out: Reading, notes: tuple[Any, ...]) -> Any:
     if kind is str:
-        return data if isinstance(data, str) else out.add(at, f"{describe(data)} is not text; put it in quotes")
+        return _read_text(data, at, out, notes)
     if kind is bool:
         return data if isinstance(data, bool) else out.add(at, f"{describe(data)} is neither true nor false")
     if kind is float:
@@ -266,6 +294,14 @@ def _read_scalar(kind: Any, data: object, at: KeyPath, out: Reading, notes: tupl
             return _limit(data, at, out, notes)
         return out.add(at, f"{describe(data)} is not a whole number{_say_allowed(notes)}")
     raise TypeError(f"{join_key(at)}: settings of type {kind!r} are not supported")
+
+
+def _read_text(data: object, at: KeyPath, out: Reading, notes: tuple[Any, ...]) -> Any:
+    if not isinstance(data, str):
+        return out.add(at, f"{describe(data)} is not text; put it in quotes")
+    allowed = next((note for note in notes if isinstance(note, Text)), SHORT)
+    word = explain_text(data, allowed)
+    return data if word is None else out.add(at, f"{describe(data)} {word}")
 
 
 def _read_float(data: object, at: KeyPath, out: Reading, notes: tuple[Any, ...]) -> Any:
@@ -295,7 +331,25 @@ def _limit(number: int | float, at: KeyPath, out: Reading, notes: tuple[Any, ...
             unit = unit_of(notes)
             shown = f"{describe(number)} {unit}" if unit else describe(number)
             return out.add(at, f"{shown} is out of range; allowed: {limits_of(notes)}")
+    if word := _explain_reach(number, notes):
+        return out.add(at, word)
     return number
+
+
+def _explain_reach(number: int | float, notes: tuple[Any, ...]) -> str | None:
+    """Why a number within its own limits still cannot be computed with: see bus/units.py, REACH."""
+    unit = unit_of(notes)
+    shown = f"{describe(number)} {unit}" if unit else describe(number)
+    if isinstance(number, int):
+        bounded = any(isinstance(note, Le | Lt) for note in notes)
+        far = abs(number) > WHOLE_REACH and not bounded
+        return f"{shown} is out of reach; its magnitude can be at most {WHOLE_REACH}" if far else None
+    reach = REACH.get(unit, ANY_REACH)
+    if abs(number) > reach.most:
+        return f"{shown} is out of reach; its magnitude can be at most {reach.most:g}"
+    if number < reach.least and any(isinstance(note, Gt) for note in notes):
+        return f"{shown} is out of reach; it must be at least {reach.least:g}"
+    return None
 
 
 def _note_parts(value: Any, at: KeyPath, out: Reading) -> None:
@@ -311,7 +365,7 @@ def _note_parts(value: Any, at: KeyPath, out: Reading) -> None:
 def _say_unknown(guess: str | None, known: dict[str, tuple[Any, Any]]) -> str:
     if guess is None:
         return f"is not a known key; there are: {', '.join(known)}"
-    unit = unit_of(_all_notes(known[guess][0]))
+    unit = find_unit(known[guess][0])
     return f'is not a known key; did you mean "{guess}"{f" [{unit}]" if unit else ""}?'
 
 

@@ -13,8 +13,8 @@ from typing import Annotated
 from annotated_types import Ge, Gt, Le, Lt
 
 __all__ = [
-    "DEG", "RPM", "Deg", "Ge", "Gt", "Hz", "KgM2", "Le", "Lt", "Mat3", "NewtonMetre", "NonNegative",
-    "Positive", "RadS", "Seconds", "Unit", "Vec3", "Vec4",
+    "DEG", "MOST_LISTED", "REACH", "RPM", "Deg", "Ge", "Gt", "Hz", "KgM2", "Le", "Lt", "Mat3", "NewtonMetre",
+    "NonNegative", "Positive", "RadS", "Reach", "Seconds", "Unit", "Vec3", "Vec4",
 ]  # fmt: skip
 
 Vec3 = tuple[float, float, float]
@@ -31,6 +31,36 @@ class Unit:
 
     symbol: str
 
+
+@dataclass(frozen=True, slots=True)
+class Reach:
+    """Magnitudes that a setting of some unit may have, beside its own limits: what can be computed with.
+
+    least : of a setting that must be above 0
+    most  : of any setting
+    """
+
+    least: float
+    most: float
+
+
+# Every number of a scenario is held to the reach of its unit; far beyond any satellite, far within what a square or an
+# inverse of it overflows at. docs/limits.md has the same table.
+REACH: dict[str, Reach] = {
+    "s": Reach(1e-9, 1e7),
+    "Hz": Reach(1e-6, 1e6),
+    "deg": Reach(1e-9, 1e6),
+    "arcsec": Reach(1e-9, 1e6),
+    "deg/s": Reach(1e-9, 1e6),
+    "rad/s": Reach(1e-12, 1e4),
+    "rad/s^2": Reach(1e-15, 1e4),
+    "N m": Reach(1e-12, 1e4),
+    "kg m^2": Reach(1e-9, 1e7),
+    "km": Reach(1e-3, 1e9),
+}
+ANY_REACH = Reach(1e-18, 1e12)  # of a number without one of these units
+WHOLE_REACH = 1_000_000_000  # magnitude of a whole number that has no limit of its own
+MOST_LISTED = 1000  # entries of a list of any length
 
 Seconds = Annotated[float, Unit("s")]
 Hz = Annotated[float, Unit("Hz"), Gt(0)]

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import copy
 import json
+import random
+import re
+import shutil
+import time
 from functools import reduce
 from operator import or_
 from pathlib import Path
@@ -15,10 +19,12 @@ from hypothesis import strategies as st
 from pydantic import BeforeValidator, ConfigDict, GetCoreSchemaHandler, TypeAdapter, ValidationError, create_model
 from pydantic_core import CoreSchema, core_schema
 
+from bus.errors import ConfigError
 from bus.settings import NOTHING, Reading, fields_of
 from plant_server.faults import KINDS, PROFILES, UNITS, Fault, family_of
 from plant_server.faults.fault import FaultKeys
 from tools.config import Scenario, examine_text, load_scenario
+from tools.config.check import summarise
 from tools.config.reference import walk_classes
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -135,6 +141,10 @@ def broken(draw: st.DrawFn) -> dict[str, Any]:
     return data
 
 
+# what our border says beyond structure and limits: the oracle does not know it, and its own tests are elsewhere
+BORDER = ("is out of reach; ", " characters; at most ", "which cannot be printed", "is not a name; ")
+
+
 @settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(broken())
 def test_well_formed_means_the_same_as_to_pydantic(data: dict[str, Any]) -> None:
@@ -147,8 +157,9 @@ def test_well_formed_means_the_same_as_to_pydantic(data: dict[str, Any]) -> None
     except ValidationError:
         expected = None
     reading = Reading(Scenario, data)
-    assert (expected is None) == bool(reading.problems), reading.problems
-    if expected is not None:
+    problems = [problem for problem in reading.problems if not any(word in problem.message for word in BORDER)]
+    assert (expected is None) == bool(problems), reading.problems
+    if expected is not None and not reading.problems:
         assert reading.value == expected
 
 
@@ -188,6 +199,118 @@ def test_any_override_is_taken_or_explained(key: str, value: str) -> None:
     for word in (f"{key}={value}", f"plant.{key}={value}", f"faults[0].kind={value}", f"title={value}"):
         examination = examine_text(TEXTS[0], NAME, [word])
         assert (examination.resolved is None) == bool(examination.findings)
+
+
+NUMBERS = st.one_of(
+    st.floats(allow_nan=False, allow_infinity=False),
+    st.integers(),
+    st.sampled_from([0, -0.0, 5e-324, 1e-300, 1e-18, 1e-9, 1e7, 1e12, -1e12, 1e150, 1e308, 2**64, 10**400, -(10**400)]),
+)
+
+
+def number_spots(value: Any) -> list[tuple[Any, Any]]:
+    """Every (container, key) of a number in a tree."""
+    return [
+        (container, key)
+        for container, key in spots_of(value)
+        if isinstance(container[key], int | float) and not isinstance(container[key], bool)
+    ]
+
+
+@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(st.data())
+def test_any_number_is_computed_with_or_explained(data: st.DataObject) -> None:
+    """Any number at any place of a scenario that ships: sound, built and printable, or findings; soon, and never else."""
+    tree = copy.deepcopy(data.draw(st.sampled_from(RESOLVED)))
+    for _ in range(data.draw(st.integers(1, 3))):
+        container, key = data.draw(st.sampled_from(number_spots(tree)))
+        container[key] = data.draw(NUMBERS)
+    start_s = time.process_time()
+    examination = examine_text(json.dumps(tree), "s.yaml")
+    assert time.process_time() - start_s < 5.0
+    assert (examination.resolved is None) == bool(examination.findings)
+    assert all(len(str(finding)) < 1500 for finding in examination.findings)
+    if examination.resolved is not None:
+        summarise(examination.resolved)
+
+
+@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(st.data())
+def test_any_text_is_taken_or_explained_on_its_own_line(data: st.DataObject) -> None:
+    """Any text in place of any text of a scenario that ships: no finding breaks a line but to show the source."""
+    tree = copy.deepcopy(data.draw(st.sampled_from(RESOLVED)))
+    spots = [(container, key) for container, key in spots_of(tree) if isinstance(container[key], str)]
+    container, key = data.draw(st.sampled_from(spots))
+    container[key] = data.draw(st.text(max_size=40) | st.sampled_from(["a" * 20_000, "a\nPASS: b", "../x", "a\0"]))
+    examination = examine_text(json.dumps(tree), "s.yaml")
+    assert (examination.resolved is None) == bool(examination.findings)
+    assert all(len(finding.headline.splitlines()) == 1 for finding in examination.findings)
+    assert all(len(finding.headline) < 1500 for finding in examination.findings)
+
+
+def mutate_text(chance: random.Random, text: str) -> str:
+    """Cut, double, shuffle and replace: bytes, words, lines and blocks of a scenario file."""
+    for _ in range(chance.randint(1, 4)):
+        start = chance.randrange(len(text) + 1)
+        stop = min(len(text), start + chance.choice((0, 1, 3, 40, 400)))
+        lines = text.split("\n")
+        at = chance.randrange(len(lines))
+        match chance.randrange(7):
+            case 0:
+                text = text[:start] + text[stop:]
+            case 1:
+                text = text[:stop] + text[start:]
+            case 2:
+                text = text[:start] + chance.choice(PIECES) + text[stop:]
+            case 3:
+                lines[at] = lines[chance.randrange(len(lines))]
+                text = "\n".join(lines)
+            case 4:
+                lines[at] = " " * chance.randrange(6) + lines[at]
+                text = "\n".join(lines)
+            case 5:
+                lines[at : at + chance.randint(1, 9)] = [lines[at]] * chance.randrange(200)
+                text = "\n".join(lines)
+            case _:
+                text = re.sub(
+                    r"(?<=[ \[])-?[0-9.]+", lambda _: chance.choice(PIECES), text, count=chance.randint(1, 20)
+                )
+    return text
+
+
+PIECES = (
+    "1e150", "-1e308", ".nan", "-.inf", "0x" + "f" * 400, "9" * 500, "1e-300", "0", "-1", "1e12", "18446744073709551616",
+    "null", "true", "{}", "[]", "&a", "*a", "<<: *a", "!!float", "\0", "\t", "\x85", "\u2028", "\ud7ff", "\U0001f6f0", "- ",
+    "? ", ": ",
+    "{", "[", "}", "]", "'", '"', "|", ">", "%", "---", "...", "extends: zhang2018", "kind: mekf", "kind: practical",
+    "kind: wang2010", "fsw.law.beta[0]", "norm(fsw.fdi.gyro_state)", "hub:/dev/null/x", "memory:", "#",
+)  # fmt: skip
+
+
+@pytest.mark.slow
+def test_five_thousand_mutated_files_are_scenarios_or_explained(tmp_path: Path) -> None:
+    """Files as `check` meets them, mutated from a fixed seed: findings or a scenario, each within 5 s of processor time."""
+    chance = random.Random(9)
+    files = sorted((ROOT / "scenarios").glob("*.yaml"))
+    for file in files:
+        shutil.copy(file, tmp_path)
+    sound = unexplained = 0
+    for number in range(5000):
+        file = tmp_path / "mutated.yaml"
+        data = mutate_text(chance, chance.choice(files).read_text()).encode("utf-8", "surrogatepass")
+        if not number % 10:
+            at = chance.randrange(len(data) + 1)
+            data = data[:at] + chance.randbytes(chance.randint(1, 4)) + data[at + chance.randrange(5) :]
+        file.write_bytes(data)
+        start_s = time.process_time()
+        try:
+            load_scenario(file)
+            sound += 1
+        except ConfigError as error:
+            unexplained += not str(error)
+        assert time.process_time() - start_s < 5.0, number
+    assert unexplained == 0
+    assert 100 < sound < 4500  # the mutations are neither all harmless nor all fatal
 
 
 def test_oracle_knows_the_shipped_scenarios() -> None:

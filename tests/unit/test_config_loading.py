@@ -21,7 +21,8 @@ from plant_server.config import PlantConfig
 from plant_server.faults import make_fault
 from tools.config import load_scenario, load_text
 from tools.config.check import check
-from tools.config.expect import Settles, check_signal
+from tools.config.expect import Settles
+from tools.config.expect_checks import check_signal
 from tools.config.findings import Source
 from tools.config.merge import parse_key
 from tools.config.reference import BEGIN, END, REFERENCE_FILE, update_reference
@@ -64,7 +65,7 @@ def test_mappings_merge_and_lists_replace(child: Path) -> None:
 def test_another_kind_does_not_inherit_the_old_ones_keys(child: Path) -> None:
     """The observer's gains would be unknown keys of `none`: with the kind, the whole mapping is replaced."""
     child.write_text(
-        "extends: base.yaml\nfsw:\n  observer: {kind: none}\n  controller: {kind: variable_structure, k: 0.2}\n"
+        "extends: base.yaml\nexpect: []\nfsw:\n  observer: {kind: none}\n  controller: {kind: variable_structure, k: 0.2}\n"
     )
     fsw = load_scenario(child).scenario.fsw
     assert fsw.observer == NoObserverConfig(kind="none")
@@ -137,7 +138,7 @@ def test_overrides_reach_anywhere() -> None:
 
 
 def test_a_later_override_sees_the_kind_that_an_earlier_one_chose() -> None:
-    words = ["fsw.controller.kind=braking_profile", "fsw.controller.eta=0.7"]
+    words = ["expect=[]", "fsw.controller.kind=braking_profile", "fsw.controller.eta=0.7"]
     assert load_scenario(ZHANG, words).as_dict()["fsw"]["controller"]["eta"] == 0.7
 
 

@@ -209,7 +209,7 @@ def test_aliases_that_unfold_without_end_are_refused(tmp_path: Path) -> None:
     lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x]"]
     lines += [f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]" for n in range(1, 9)]
     got = findings(tmp_path, "\n".join(lines))
-    assert any("aliases unfold to more than 100000 values" in message for message in got)
+    assert any("aliases unfold to more than 50000 values" in message for message in got)
 
 
 def test_deep_nesting_is_refused(tmp_path: Path) -> None:
@@ -294,4 +294,4 @@ def test_large_file_is_not_read(tmp_path: Path) -> None:
     file = tmp_path / "run.mcap"
     with file.open("wb") as out:
         out.truncate(5_000_000)
-    assert one_problem(file) == f"{file}: is larger than 4 MB: not a scenario file"
+    assert one_problem(file) == f"{file}: is larger than 1 MB: not a scenario file"

@@ -11,8 +11,7 @@ from typing import Any
 
 from bus.errors import ConfigError
 from bus.icd.load import bus_load
-from tools.config.findings import Finding
-from tools.config.loader import examine
+from tools.config.loader import Examination, examine
 from tools.config.scenario import Resolved
 
 Paths = str | Path | Sequence[str | Path]
@@ -32,9 +31,10 @@ def check(paths: Paths, overrides: Sequence[str] = (), *, as_json: bool = False)
             reports.append({"file": os.fspath(path), "ok": True, **summarise(examination.resolved), "problems": []})
         else:
             problems = [finding.as_dict() for finding in examination.findings]
-            reports.append({"file": os.fspath(path), "ok": False, "problems": problems})
+            more = {"unlisted_problems": examination.unlisted} if examination.unlisted else {}
+            reports.append({"file": os.fspath(path), "ok": False, "problems": problems, **more})
         if not as_json:
-            _print(os.fspath(path), examination.resolved, examination.findings)
+            _print(examination)
     passed = all(report["ok"] for report in reports)
     if as_json:
         print(json.dumps({"ok": passed, "files": reports}, ensure_ascii=False))
@@ -59,6 +59,7 @@ def summarise(resolved: Resolved) -> dict[str, Any]:
         "run_hash": f"{resolved.run_hash:#010x}",
         "faults": list_timeline(resolved),
         "expectations": len(scenario.expect),
+        "graded": bool(scenario.expect or scenario.faults),
     }
 
 
@@ -72,14 +73,19 @@ def list_timeline(resolved: Resolved) -> list[dict[str, Any]]:
     return sorted(rows, key=lambda row: (row["at_s"], row["fault"]))
 
 
-def _print(path: str, resolved: Resolved | None, findings: Sequence[Finding]) -> None:
-    if resolved is None:
-        for finding in findings:
-            print(finding, file=sys.stderr)
-        count = len(findings)
-        print(f"{path}: {count} problem{'s' if count != 1 else ''}", file=sys.stderr)
+def _print(examination: Examination) -> None:
+    if examination.resolved is not None:
+        _print_summary(examination.path, summarise(examination.resolved))
         return
-    facts = summarise(resolved)
+    for finding in examination.findings:
+        print(finding, file=sys.stderr)
+    if examination.unlisted:
+        print(f"and {examination.unlisted} more", file=sys.stderr)
+    count = len(examination.findings) + examination.unlisted
+    print(f"{examination.path}: {count} problem{'s' if count != 1 else ''}", file=sys.stderr)
+
+
+def _print_summary(path: str, facts: dict[str, Any]) -> None:
     print(f"{path}: OK: {facts['name']}{': ' + facts['title'] if facts['title'] else ''}")
     print(
         f"  {facts['duration_s']:g} s, {facts['ticks']} ticks at {facts['tick_hz']} Hz, control at "
@@ -89,3 +95,5 @@ def _print(path: str, resolved: Resolved | None, findings: Sequence[Finding]) ->
     for row in facts["faults"]:
         print(f"  {row['at_s']:8.2f} .. {row['until_s']:8.2f} s  {row['unit']:<12} {row['kind']}")
     print(f"  {facts['expectations']} expectations, {len(facts['faults'])} faults, run hash {facts['run_hash']}")
+    if not facts["graded"]:
+        print("  nothing will be graded: there is neither an expectation nor a fault")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import dataclasses
 import inspect
 import re
 import sys
@@ -11,7 +12,18 @@ from functools import cache
 
 @cache
 def comments_of(cls: type) -> dict[str, str]:
-    """Comment at the end of each field's line (and on the lines below it), by field name; '' where there is none."""
+    """Comment at the end of each field's line (and on the lines below it), by field name; '' where there is none.
+
+    Fields that a class shares with others carry their comment from where they stand.
+    """
+    result: dict[str, str] = {}
+    for base in reversed(cls.__mro__):
+        if dataclasses.is_dataclass(base):
+            result |= _read_comments(base)
+    return result
+
+
+def _read_comments(cls: type) -> dict[str, str]:
     lines = inspect.getsource(sys.modules[cls.__module__]).split("\n")
     tree = ast.parse("\n".join(lines))
     body = next(node for node in tree.body if isinstance(node, ast.ClassDef) and node.name == cls.__name__)

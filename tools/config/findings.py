@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 MAX_EXCERPT = 120  # characters of a source line shown under a message
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Source:
     """One text that a scenario was read from. `overrides`: the words of `--set`, not a file."""
 
@@ -15,10 +16,14 @@ class Source:
     text: str = field(repr=False)
     overrides: bool = False
 
+    @cached_property
+    def lines(self) -> list[str]:
+        """Lines of the text, without their ends."""
+        return [line.rstrip("\r") for line in self.text.split("\n")]
+
     def line(self, number: int) -> str:
         """Line by number, from 1, without its end ('' past the last)."""
-        lines = self.text.split("\n")
-        return lines[number - 1].rstrip("\r") if 0 < number <= len(lines) else ""
+        return self.lines[number - 1] if 0 < number <= len(self.lines) else ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,10 +8,15 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from bus.settings import KeyPath, join_key
+from bus.texts import Text, explain_text
+from bus.words import describe, nearest
 from tools.config.findings import Finding, Place, Source
-from tools.config.yaml_nodes import Node, read_value, read_yaml
+from tools.config.scenario_files import find_shipped
+from tools.config.yaml_nodes import MAX_DEPTH, Node, read_value, read_yaml
 
-MAX_BYTES = 4 * 1024 * 1024  # a scenario is a page or two; this is somebody's log
+MAX_BYTES = 1024 * 1024  # a scenario is a page or two; this is somebody's log
+PATH = Text(400)
+MAX_CHAIN = 10  # files that extend each other
 # A mapping whose tag changes is another thing: its other keys do not carry over. (All kinds of fault share theirs.)
 TAGS = ("kind", "check")
 
@@ -19,15 +24,22 @@ _KEY = re.compile(r"\.?(?:([0-9]{1,9})(?![^.\[\]=])|([^.\[\]=]+))|\[([0-9]{1,9})
 
 
 class Merger:
-    """Reads sources into one tree. `findings` holds what was wrong on the way, `sources` every text read, in order."""
+    """Reads sources into one tree. `findings` holds what was wrong on the way, `sources` every text read, in order.
 
-    def __init__(self) -> None:
+    files : whether a text may name files; False for one that came out of a log, which carries all it needs
+    """
+
+    def __init__(self, *, files: bool = True) -> None:
+        self._files = files
         self.findings: list[Finding] = []
         self.sources: list[Source] = []
 
     def read_file(self, path: str | Path, wanted_at: Place | None = None, chain: tuple[str, ...] = ()) -> Node | None:
         """Tree of a file and of all it extends. `wanted_at`: where another file names it."""
         name = os.fspath(path)
+        if len(chain) >= MAX_CHAIN:
+            self.add(wanted_at, "extends", f"is file {len(chain) + 1} in a chain; at most {MAX_CHAIN}")
+            return None
         text = self._read_text(name, wanted_at)
         if text is None:
             return None
@@ -40,6 +52,9 @@ class Merger:
     def read_text(self, source: Source, chain: tuple[str, ...] = ()) -> Node | None:
         """Tree of a text and of all it extends."""
         self.sources.append(source)
+        if len(source.text) > MAX_BYTES:
+            self.add(Place(source), "", f"is larger than {MAX_BYTES // 1024**2} MB: not a scenario")
+            return None
         node, findings = read_yaml(source)
         self.findings += findings
         if node is None and not findings:
@@ -55,8 +70,13 @@ class Merger:
         if not isinstance(parent.value, str) or not parent.value:
             self.add(parent.place, "extends", "needs the path of another scenario file, relative to this one")
             return None
-        base_path = os.path.normpath(os.path.join(os.path.dirname(source.name), parent.value))
-        base = self.read_file(base_path, parent.place, chain)
+        if word := explain_text(parent.value, PATH):
+            self.add(parent.place, "extends", f"{describe(parent.value)} {word}")
+            return None
+        if not self._files:
+            self.add(parent.place, "extends", "is not read here: a log carries its resolved scenario, whole")
+            return None
+        base = self.read_file(_find_parent(source.name, parent.value), parent.place, chain)
         return merge(base, node) if base is not None else None
 
     def override(self, root: Node, setting: str) -> Node:
@@ -119,6 +139,16 @@ class Merger:
         self.findings.append(Finding(place or Place(self.sources[-1]), key, message))
 
 
+def _find_parent(name: str, parent: str) -> str:
+    """Path of what a file extends: beside it, with `.yaml` or without; else a scenario that ships with hilsat."""
+    beside = os.path.normpath(os.path.join(os.path.dirname(name), parent))
+    for path in (beside, f"{beside}.yaml"):
+        if os.path.isfile(path):
+            return path
+    shipped = None if os.path.lexists(beside) or os.path.dirname(parent) else find_shipped(parent)
+    return beside if shipped is None else os.fspath(shipped)
+
+
 def read_text_file(name: str) -> tuple[str | None, str]:
     """Text of a scenario file and '', or None and why it cannot be read."""
     try:
@@ -165,7 +195,7 @@ def parse_key(text: str) -> KeyPath | None:
         number, word, index = match.groups()
         path.append(word if word is not None else int(number or index))
         at = match.end()
-    return tuple(path) or None
+    return tuple(path) if 0 < len(path) <= MAX_DEPTH else None
 
 
 def apply_overrides(merger: Merger, root: Node, overrides: Sequence[str]) -> Node:
@@ -180,7 +210,5 @@ def _say_nearby(name: str) -> str:
         files = sorted(entry for entry in os.listdir(folder) if entry.endswith((".yaml", ".yml")))
     except OSError:
         return ""
-    from bus.words import nearest
-
     guess = nearest(os.path.basename(name), files)
     return f'; did you mean "{os.path.join(os.path.dirname(name), guess)}"?' if guess else ""

@@ -5,17 +5,18 @@ from __future__ import annotations
 import dataclasses
 import json
 import typing
+from pathlib import Path
 from typing import Any, Literal
 
-from bus.settings import NOTHING, branches_of, fields_of, limits_of, plain, strip_annotations
+from bus.settings import NOTHING, branches_of, fields_of, find_unit, limits_of, plain, strip_annotations
 from plant_server.faults import PROFILES, UNITS, Fault
 from plant_server.faults.fault import FaultKeys
 from tools.config.comments import comments_of, summary_of
 from tools.config.expect import SIGNAL_FUNCTIONS
 from tools.config.fault_reference import format_kinds
 from tools.config.scenario import Scenario
-from tools.config.schema import ROOT, find_unit
 
+ROOT = Path(__file__).resolve().parents[2]
 REFERENCE_FILE = ROOT / "docs" / "scenarios.md"
 BEGIN, END = "<!-- reference: begin, generated -->\n", "<!-- reference: end -->\n"
 

@@ -8,9 +8,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any
 
-from bus.run import BusConfig, ClockConfig, run_hash
+from bus.run import BusConfig, ClockConfig, Seed, run_hash
 from bus.settings import plain
-from bus.units import Ge, Gt, Seconds
+from bus.texts import Line, Name, Prose
+from bus.units import Gt, Seconds
 from fsw.config import FswConfig
 from plant_server.config import PlantConfig
 from plant_server.faults import Fault
@@ -22,10 +23,10 @@ from tools.config.findings import Source
 class Scenario:
     """A whole scenario file, after `extends` and overrides."""
 
-    name: str  # short, also names the log file
-    title: str = ""  # one line for reports
-    description: str = ""  # what it shows, and where the numbers come from
-    seed: Annotated[int, Ge(0)] = 0  # of every random stream in the plant
+    name: Name  # short, also names the log file
+    title: Line = ""  # one line for reports
+    description: Prose = ""  # what it shows, and where the numbers come from
+    seed: Seed = 0  # of every random stream in the plant
     duration_s: Annotated[Seconds, Gt(0)]  # simulated time, whole ticks
     clock: ClockConfig = field(default_factory=ClockConfig)
     bus: BusConfig = field(default_factory=BusConfig)

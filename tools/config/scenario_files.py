@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import difflib
 from pathlib import Path
 
 from bus.errors import UsageError
+from bus.words import suggest
 
 TOOLS = Path(__file__).resolve().parents[1]
 SHIPPED = next((d for d in (TOOLS / "scenarios", TOOLS.parent / "scenarios") if d.is_dir()), TOOLS / "scenarios")
@@ -24,6 +24,13 @@ def find_scenario(name: str) -> Path:
     shipped = SHIPPED / f"{name}.yaml"
     if shipped.exists():
         return shipped
-    near = difflib.get_close_matches(name, list_shipped(), 1)
-    hint = f"did you mean {near[0]}? " if near else ""
-    raise UsageError(f"scenario {name!r} is not a file and not shipped; {hint}there are: {', '.join(list_shipped())}")
+    known = list_shipped()
+    raise UsageError(
+        f"scenario {name!r} is not a file and not shipped; {suggest(name, known)}there are: {', '.join(known)}"
+    )
+
+
+def find_shipped(name: str) -> Path | None:
+    """The file of a shipped scenario by its name, with or without `.yaml`; None when there is none."""
+    stem = name.removesuffix(".yaml")
+    return SHIPPED / f"{stem}.yaml" if stem in list_shipped() else None

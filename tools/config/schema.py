@@ -11,18 +11,17 @@ import json
 import sys
 import types
 import typing
-from pathlib import Path
 from typing import Any, Literal, Union
 
 from annotated_types import Ge, Gt, Le, Lt
 
-from bus.settings import NOTHING, fields_of, plain, strip_annotations, unit_of
+from bus.settings import NOTHING, fields_of, find_unit, plain, strip_annotations
 from plant_server.faults import PROFILES, Fault
 from tools.config.comments import comments_of, summary_of
-from tools.config.fault_reference import UNITS_OF, keys_of, list_variants
+from tools.config.fault_reference import UNITS_OF, keys_of, list_variants, update_plant_page
+from tools.config.reference import REFERENCE_FILE, ROOT, update_reference
 from tools.config.scenario import Scenario
 
-ROOT = Path(__file__).resolve().parents[2]
 SCHEMA_FILE = ROOT / "scenarios" / "scenario.schema.json"
 PLANT_PAGE = ROOT / "docs" / "plant.md"
 LIMIT_WORDS = {Gt: "exclusiveMinimum", Ge: "minimum", Lt: "exclusiveMaximum", Le: "maximum"}
@@ -132,21 +131,8 @@ def _describe_list(kinds: tuple[Any, ...], definitions: dict[str, Any]) -> dict[
     return result
 
 
-def find_unit(kind: Any) -> str:
-    """Unit of a setting, through unions with None ('' when there is none)."""
-    kind, notes = strip_annotations(kind)
-    if unit := unit_of(notes):
-        return unit
-    if typing.get_origin(kind) in (Union, types.UnionType):
-        return next((unit for member in typing.get_args(kind) if (unit := find_unit(member))), "")
-    return ""
-
-
 def main() -> int:
     """Write schema and reference; return the exit code."""
-    from tools.config.fault_reference import update_plant_page
-    from tools.config.reference import REFERENCE_FILE, update_reference
-
     SCHEMA_FILE.write_text(format_schema(), encoding="utf-8")
     print(SCHEMA_FILE)
     REFERENCE_FILE.write_text(update_reference(REFERENCE_FILE.read_text(encoding="utf-8")), encoding="utf-8")

@@ -15,24 +15,34 @@ from typing import Any
 from bus.errors import BusLoadError
 from bus.icd.load import check_load
 from bus.settings import NOTHING, KeyPath, Problem, Reading, fields_of, strip_annotations
+from bus.units import DEG
 from plant_server.config import PlantConfig
 from plant_server.faults import explain_times, fault_ids
 from plant_server.validation import explain_inertia, validate
-from tools.config.expect import Expectation, check_expectation
+from tools.config.expect_checks import check_expectation
+from tools.config.wire_checks import check_address, check_ranges
 
 NANO = 1_000_000_000
+MAX_TICKS = 1_000_000_000  # of a run
+MAX_STEPS = 10_000  # integration steps of a tick
+MOST_TURN_RAD = 1.0  # in an integration step, at the start
+LEAST_MOMENT_KGM2 = 1e-9  # smallest moment of inertia that is computed with
 PERIOD_TOLERANCE = 0.01  # relative; what the algorithms themselves accept (StepSizeError)
 
 Problems = Iterator[Problem]
 
 
-def check_semantics(reading: Reading) -> list[Problem]:
-    """Every problem between the parts of a scenario that are each well-formed."""
+def check_semantics(reading: Reading, *, opens: bool = True) -> list[Problem]:
+    """Every problem between the parts of a scenario that are each well-formed.
+
+    opens : whether its bus is to be opened from here; False for what was flown long ago and elsewhere
+    """
     problems: list[Problem] = []
-    for check in CHECKS:
+    told = {known.path[:length] for known in reading.problems for length in range(len(known.path) + 1)}
+    for check in (*CHECKS, check_address) if opens else CHECKS:
         for problem in check(reading.parts):
-            follows = any(problem.path == known.path[: len(problem.path)] for known in reading.problems)
-            if not follows and not any(problem.path == known.path for known in problems):
+            if problem.path not in told:
+                told.add(problem.path)
                 problems.append(problem)
     return problems
 
@@ -46,7 +56,12 @@ def check_clock(parts: dict[KeyPath, Any]) -> Problems:
         whole = sorted((hz for hz in range(1, 1001) if NANO % hz == 0), key=lambda hz: abs(hz - tick_hz))[:2]
         near = " or ".join(str(hz) for hz in sorted(whole))
         yield Problem(("clock", "tick_hz"), f"{tick_hz} Hz: the period is not a whole number of ns; near: {near}")
-    if tick_hz is not None and duration_s is not None and not _is_whole(duration_s * tick_hz):
+    if tick_hz is None or duration_s is None:
+        return
+    if duration_s * tick_hz > MAX_TICKS:
+        word = f"{duration_s:g} s at {tick_hz} Hz are {duration_s * tick_hz:g} ticks; at most {MAX_TICKS:g}"
+        yield Problem(("duration_s",), word)
+    elif not _is_whole(duration_s * tick_hz):
         down = math.floor(duration_s * tick_hz) / tick_hz
         word = f"{duration_s} s is not a whole number of ticks of {1 / tick_hz:g} s; near: {down:g} s"
         yield Problem(("duration_s",), word)
@@ -88,10 +103,25 @@ def check_plant(parts: dict[KeyPath, Any]) -> Problems:
     tick_hz = _find_tick_hz(parts)
     if tick_hz is None:
         return
+    step_s = parts.get(("plant", "step_s"))
+    if step_s is not None and step_s * tick_hz * MAX_STEPS < 1.0 - 1e-9:
+        word = (
+            f"{step_s:g} s makes {1 / (tick_hz * step_s):g} steps of a tick of {1 / tick_hz:g} s; at most {MAX_STEPS}"
+        )
+        yield Problem(("plant", "step_s"), word)
+        parts = {path: value for path, value in parts.items() if path not in _WITH_STEP}
+    rate_deg_s = parts.get(("plant", "body", "rate_deg_s"))
+    if rate_deg_s is not None and step_s is not None and math.hypot(*rate_deg_s) * DEG * step_s > MOST_TURN_RAD:
+        most = MOST_TURN_RAD / step_s / DEG
+        word = f"{math.hypot(*rate_deg_s):g} deg/s cannot be followed in steps of {step_s:g} s; at most {most:g} deg/s"
+        yield Problem(("plant", "body", "rate_deg_s"), word)
     config = _complete(PlantConfig, NOTHING, ("plant",), parts, 1 / tick_hz)
     for problem in validate(config, 1 / tick_hz):
         if ("plant", *problem.path) in parts:
             yield Problem(("plant", *problem.path), problem.message, problem.at_key)
+
+
+_WITH_STEP: tuple[KeyPath, ...] = (("plant",), ("plant", "step_s"))  # what cannot be looked at with a step beyond reach
 
 
 def _complete(kind: Any, default: Any, path: KeyPath, parts: dict[KeyPath, Any], tick_s: float) -> Any:
@@ -118,6 +148,10 @@ def check_model(parts: dict[KeyPath, Any]) -> Problems:
     inertia = parts.get(("fsw", "model", "inertia_kgm2"))
     if inertia is not None and (word := explain_inertia(inertia)):
         yield Problem(("fsw", "model", "inertia_kgm2"), word)
+    for path in (("fsw", "model", "inertia_kgm2"), ("plant", "body", "inertia_kgm2")):
+        matrix = parts.get(path)
+        if matrix is not None and 0.0 <= (least := min(matrix[i][i] for i in range(3))) < LEAST_MOMENT_KGM2:
+            yield Problem(path, f"{least:g} kg m^2 on the diagonal is out of reach; at least {LEAST_MOMENT_KGM2:g}")
     q = parts.get(("fsw", "target_q"))
     if q is not None and not math.hypot(*q) > 1e-6:
         yield Problem(("fsw", "target_q"), f"has length {math.hypot(*q):g}; an attitude needs one above 1e-6")
@@ -149,17 +183,23 @@ def check_faults(parts: dict[KeyPath, Any]) -> Problems:
 
 
 def check_expectations(parts: dict[KeyPath, Any]) -> Problems:
+    """What is wrong with each expectation, judged by those of its keys that are sound."""
     duration_s = parts.get(("duration_s",))
     seen: dict[str, int] = {}
-    for index in range(_length(parts, "expect")):
-        item: Expectation | None = parts.get(("expect", index))
-        if item is None:
-            continue
+    items: dict[int, dict[str, Any]] = {}
+    for path, value in parts.items():
+        if len(path) == 3 and path[0] == "expect" and isinstance(path[1], int):
+            items.setdefault(path[1], {})[str(path[2])] = value
+    for index, item in items.items():
         for key, word in check_expectation(item, duration_s):
             yield Problem(("expect", index, key), word)
-        if item.name in seen:
-            yield Problem(("expect", index, "name"), f'"{item.name}" is the name of expect[{seen[item.name]}] too')
-        seen[item.name] = index
+        if "name" not in item:
+            continue
+        if item["name"] in seen:
+            yield Problem(
+                ("expect", index, "name"), f'"{item["name"]}" is the name of expect[{seen[item["name"]]}] too'
+            )
+        seen[item["name"]] = index
 
 
 def check_bus_load(parts: dict[KeyPath, Any]) -> Problems:
@@ -187,4 +227,5 @@ CHECKS: tuple[Callable[[dict[KeyPath, Any]], Problems], ...] = (
     check_faults,
     check_expectations,
     check_bus_load,
+    check_ranges,
 )

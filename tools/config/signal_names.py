@@ -1,44 +1,77 @@
-"""Which signals a run logs, so that a misspelt one is found before the run and not after it."""
+"""Which signals a run logs and how wide each is, so that a misspelt or misshapen one is found before the run."""
 
 from __future__ import annotations
 
 import ast
+from collections.abc import Mapping
 from functools import cache
 
 from bus.words import nearest
+from tools.config.signal_shapes import CONSTANT, UNKNOWN, Width, find_shape
 
-# Topics whose fields depend on the control law and the detector that fly; the grader looks at what was logged.
+# Topics whose fields depend on the algorithms that fly: known once these have been built
 OPEN_TOPICS = ("fsw.law", "fsw.detector", "fsw.estimator", "fsw.observer_state", "fsw.wheel_state", "fsw.allocator")
+
+Topics = Mapping[str, Mapping[str, int]]  # topic as expressions write it (truth.attitude) -> field -> width
 
 
 @cache
-def list_signals() -> dict[str, tuple[str, ...]]:
-    """Fields of every topic that all runs log, by the topic's name as expressions write it: truth.attitude."""
+def list_signals() -> dict[str, dict[str, int]]:
+    """Fields of every topic that all runs log, each with how many numbers it has."""
     from fsw.telemetry import CONTROL_TOPICS, TICK_TOPICS
     from plant_server.truth import TRUTH_FIELDS
 
-    signals = {f"truth.{group}": tuple(field[0] for field in fields) for group, fields in TRUTH_FIELDS.items()}
+    signals = {f"truth.{group}": {row[0]: row[1] for row in fields} for group, fields in TRUTH_FIELDS.items()}
     for topic in (*TICK_TOPICS, *CONTROL_TOPICS):
-        signals[topic.name.strip("/").replace("/", ".")] = tuple(field.name for field in topic.fields)
+        signals[topic.name.strip("/").replace("/", ".")] = {field.name: field.count for field in topic.fields}
     return signals
 
 
-def check_names(signal: str) -> list[str]:
-    """What is wrong with the names in a well-formed signal expression."""
-    names = [node for node in ast.walk(ast.parse(signal.strip(), mode="eval")) if isinstance(node, ast.Attribute)]
-    inner = {id(node.value) for node in names}
-    return [word for node in names if id(node) not in inner and (word := _check_name(node))]
+def check_names(tree: ast.Expression, inside: Topics | None = None) -> list[str]:
+    """What is wrong with names and shapes in a well-formed signal expression: the first thing found of each.
+
+    inside : the fields of OPEN_TOPICS, as far as they have any; None: not known yet
+    """
+    topics = {**list_signals(), **(inside or {})}
+    problems: list[str] = []
+
+    def look_up(node: ast.Attribute) -> Width:
+        topic = name_of(node.value)
+        if inside is None and topic in OPEN_TOPICS:
+            return UNKNOWN
+        if node.attr in topics.get(topic, ()):
+            return topics[topic][node.attr]
+        if not problems:
+            problems.append(_explain(topic, node.attr, topics, inside))
+        return UNKNOWN
+
+    try:
+        width = find_shape(tree.body, look_up)
+    except ValueError as error:
+        return [*problems, str(error)]
+    if not problems and width not in (1, UNKNOWN, CONSTANT):
+        problems.append(f"is a vector of {width}, where one number is needed; take an element, [0], or norm(...)")
+    return problems
 
 
-def _check_name(node: ast.Attribute) -> str | None:
-    topic, known = ast.unparse(node.value), list_signals()
-    if topic in OPEN_TOPICS or node.attr in known.get(topic, ()):
-        return None
+def name_of(node: ast.expr) -> str:
+    """The dotted name that an expression is; `(...)` in place of what is not a name."""
+    parts: list[str] = []
+    while isinstance(node, ast.Attribute):
+        parts.append(node.attr)
+        node = node.value
+    parts.append(node.id if isinstance(node, ast.Name) else "(...)")
+    return ".".join(reversed(parts))
+
+
+def _explain(topic: str, field: str, topics: Topics, inside: Topics | None) -> str:
     if topic.count(".") != 1:
-        return f"{topic}.{node.attr} is not a signal; its form is topic.field, such as truth.attitude.error_deg"
-    topics = (*known, *OPEN_TOPICS)
-    word, choices = (node.attr, known[topic]) if topic in known else (topic, topics)
-    what = f"{topic} has no field {word}" if topic in known else f"there is no topic {word}"
+        return f"{topic}.{field} is not a signal; its form is topic.field, such as truth.attitude.error_deg"
+    if topic in OPEN_TOPICS and topic not in topics:
+        return f"there is no topic {topic}: what is chosen there logs nothing of its inside"
+    known = tuple(topics) if inside is not None else (*topics, *OPEN_TOPICS)
+    word, choices = (field, tuple(topics[topic])) if topic in topics else (topic, known)
+    what = f"{topic} has no field {word}" if topic in topics else f"there is no topic {word}"
     guess = nearest(word, choices)
     hint = f' did you mean "{guess}"?' if guess else ""
     return f"{what};{hint} there are: {', '.join(choices)}"

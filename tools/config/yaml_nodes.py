@@ -14,11 +14,25 @@ from typing import Any
 import yaml
 
 from bus.settings import KeyPath, join_key
+from bus.words import LONGEST, describe
 from tools.config.findings import Finding, Place, Source
 
-MAX_NODES = 100_000  # aliases may not unfold to more than this
+MAX_NODES = 50_000  # values of a text, aliases unfolded: a scenario has a few hundred
+MAX_DEPTH = 50  # mappings and lists inside each other: a scenario has five
+MAX_FINDINGS = 100  # that are kept of one text; more are counted
+LONGEST_KEY, LONGEST_NUMBER = 200, 400  # characters
+LONGEST_EXPLAINED = 8_000  # characters of a broken text that the slow parser may look at for its better words
 
 UNREADABLE = (yaml.YAMLError, RecursionError, ValueError)
+
+
+class _TooMuch(yaml.YAMLError):
+    """A text that nests or holds more than any scenario; carries the mark and the words."""
+
+    def __init__(self, mark: Any, words: str) -> None:
+        super().__init__(words)
+        self.problem_mark, self.problem = mark, words
+
 
 _TAG = "tag:yaml.org,2002:"
 _BaseLoader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # the C parser is ten times faster, where it exists
@@ -94,15 +108,38 @@ class Node:
 
 
 def read_yaml(source: Source) -> tuple[Node | None, list[Finding]]:
-    """Root node of a text, None when it is empty or cannot be parsed, and everything found wrong with it."""
+    """Root node of a text, None when it is empty or cannot be parsed, and what was found wrong with it."""
     try:
+        _measure(source.text)
         root = _compose(_Loader, source.text)
+    except _TooMuch as error:
+        return None, [_explain(error, source)]
     except UNREADABLE as error:
-        return None, [_explain(_find_better_words(source.text) or error, source)]
+        better = None if "nesting depth" in str(error) else _find_better_words(source.text)
+        return None, [_explain(better or error, source)]
     if root is None:
         return None, []
     reader = _Reader(source)
-    return reader.read(root, (), None), reader.findings
+    try:
+        return reader.read(root, (), None), reader.list_findings()
+    except _TooMuch as error:
+        return None, [_explain(error, source)]
+
+
+def _measure(text: str) -> None:
+    """Raise _TooMuch for a text that holds or nests too much, before anything of it is kept."""
+    count = depth = 0
+    for event in yaml.parse(text, Loader=_Loader):
+        if isinstance(event, yaml.NodeEvent):
+            count += 1
+        if isinstance(event, yaml.CollectionStartEvent):
+            depth += 1
+        elif isinstance(event, yaml.CollectionEndEvent):
+            depth -= 1
+        if depth > MAX_DEPTH:
+            raise _TooMuch(event.start_mark, f"is nested too deeply: more than {MAX_DEPTH} levels")
+        if count > MAX_NODES:
+            raise _TooMuch(event.start_mark, f"the text holds more than {MAX_NODES} values")
 
 
 def read_value(text: str, place: Place) -> tuple[Node, list[Finding]]:
@@ -118,11 +155,13 @@ def read_value(text: str, place: Place) -> tuple[Node, list[Finding]]:
     resolver: Any = _PlainLoader("")
     tag = resolver.resolve(yaml.ScalarNode, text, (True, False))
     start = yaml.Mark(place.source.name, 0, place.line - 1, place.column - 1, None, 0)
-    return reader.read(yaml.ScalarNode(tag, text, start), (), None), reader.findings
+    return reader.read(yaml.ScalarNode(tag, text, start), (), None), reader.list_findings()
 
 
 def _find_better_words(text: str) -> Exception | None:
     """What the pure Python parser says about a text that the C parser refused; its marks and words are better."""
+    if len(text) > LONGEST_EXPLAINED:
+        return None
     try:
         _compose(_PlainLoader, text)
     except UNREADABLE as error:
@@ -144,11 +183,21 @@ class _Reader:
     def __init__(self, source: Source) -> None:
         self.source = source
         self.findings: list[Finding] = []
+        self.unlisted = 0  # findings past MAX_FINDINGS
         self.open: set[int] = set()  # nodes being read: an alias to one of them contains itself
         self.count = 0
 
     def add(self, place: Place, path: KeyPath, message: str) -> None:
+        if len(self.findings) == MAX_FINDINGS:
+            self.unlisted += 1
+            return
         self.findings.append(Finding(place, join_key(path) if path else "", message))
+
+    def list_findings(self) -> list[Finding]:
+        """What was found, and how much more there is."""
+        if self.unlisted:
+            return [*self.findings, Finding(Place(self.source), "", f"{self.unlisted} more problems of this kind")]
+        return self.findings
 
     def place(self, node: Any) -> Place:
         return Place(self.source, node.start_mark.line + 1, node.start_mark.column + 1)
@@ -156,12 +205,13 @@ class _Reader:
     def read(self, node: Any, path: KeyPath, key_place: Place | None) -> Node:
         place = self.place(node)
         self.count += 1
-        if id(node) in self.open or self.count > MAX_NODES:
-            if self.count <= MAX_NODES:
-                self.add(place, path, "is an alias of something that contains it")
-            elif self.count == MAX_NODES + 1:
-                self.add(place, path, f"aliases unfold to more than {MAX_NODES} values")
+        if self.count > MAX_NODES:
+            raise _TooMuch(node.start_mark, f"aliases unfold to more than {MAX_NODES} values")
+        if id(node) in self.open:
+            self.add(place, path, "is an alias of something that contains it")
             return Node(None, place, key_place)
+        if len(self.open) > MAX_DEPTH:
+            raise _TooMuch(node.start_mark, f"is nested too deeply: more than {MAX_DEPTH} levels")
         if isinstance(node, yaml.ScalarNode):
             return Node(self.scalar(node, path), place, key_place)
         self.open.add(id(node))
@@ -182,11 +232,15 @@ class _Reader:
         for key_node, value_node in node.value:
             place = self.place(key_node)
             if key_node.tag == _TAG + "merge":
-                merged |= self.merge(value_node, path)
+                merged.update(self.merge(value_node, path))
                 continue
             key = key_node.value if isinstance(key_node, yaml.ScalarNode) else None
             if key is None or key_node.tag != _TAG + "str":
-                self.add(place, path, f"a key must be text, got {key_node.value if key is not None else 'a structure'}")
+                got = key[:LONGEST] if key is not None else "a structure"
+                self.add(place, path, f"a key must be text, got {got}")
+                continue
+            if len(key) > LONGEST_KEY or not key.isprintable():
+                self.add(place, path, f"{describe(key)} cannot be a key: too long or not printable")
                 continue
             child = self.read(value_node, (*path, key), place)
             if key in children:
@@ -203,12 +257,17 @@ class _Reader:
             if not isinstance(part, yaml.MappingNode):
                 self.add(self.place(part), (*path, "<<"), "needs a mapping to take keys from")
                 continue
-            read = self.read(part, path, None)
-            result = (read.value or {}) | result
+            for key, child in (self.read(part, path, None).value or {}).items():
+                result.setdefault(key, child)
         return result
 
     def scalar(self, node: Any, path: KeyPath) -> Any:
         text, kind = node.value, node.tag.removeprefix(_TAG)
+        if kind in ("int", "float") and len(text) > LONGEST_NUMBER:
+            self.add(
+                self.place(node), path, f"{describe(text)} has {len(text)} characters: not a number to compute with"
+            )
+            return None
         try:
             if kind in ("str", "merge"):
                 return text
@@ -224,7 +283,7 @@ class _Reader:
                     self.add(self.place(node), path, f"{text} is not a finite number")
                 return number
         except (KeyError, ValueError):
-            self.add(self.place(node), path, f"{text[:40]} cannot be read as {kind}")
+            self.add(self.place(node), path, f"{describe(text)} cannot be read as {kind}")
             return None
         self.add(self.place(node), path, f"tag {node.tag} is not supported here")
         return None
@@ -241,7 +300,11 @@ def _explain(error: Exception, source: Source) -> Finding:
     mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
     place = Place(source, mark.line + 1, mark.column + 1) if mark else Place(source)
     words = getattr(error, "problem", None) or str(error)
-    if "'\\t'" in words:
+    if isinstance(error, _TooMuch):
+        return Finding(place, "", words)
+    if "nesting depth" in words:
+        words = "is nested too deeply"
+    elif "'\\t'" in words:
         words = "a tab stands where YAML wants spaces"
     elif getattr(error, "context", None):
         words = f"{words} ({error.context})"  # type: ignore[attr-defined]

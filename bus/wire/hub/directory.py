@@ -13,6 +13,8 @@ from pathlib import Path
 from bus.errors import BusAddressError, BusInUseError
 from bus.wire.hub.datagrams import SOCKET_NAME
 
+ATTEMPTS = 100  # at a directory that others make and remove meanwhile
+
 
 def default_directory() -> Path:
     """Return where `hub:` without a directory lives: one bus per user."""
@@ -23,6 +25,18 @@ def default_directory() -> Path:
 def resolve_directory(where: str) -> Path:
     """Return the absolute directory that a hub address names."""
     return Path(os.path.abspath(os.path.expanduser(where))) if where else default_directory()
+
+
+def check_place(path: Path) -> None:
+    """Raise BusAddressError where there is no directory at a path and none can be made: something else is in the way."""
+    for place in (path, *path.parents):
+        if os.path.isdir(place):
+            return
+        if os.path.islink(place):
+            raise BusAddressError(f"hub:{path}: {place} is a link that leads nowhere; name another directory")
+        if os.path.lexists(place):
+            made = "" if place == path else f" cannot be made: {place}"
+            raise BusAddressError(f"hub:{path}{made} is not a directory; name another one")
 
 
 class HubDirectory:
@@ -41,6 +55,10 @@ class HubDirectory:
             raise BusAddressError(f"{self.address} is not a directory; name another one") from None
         except PermissionError:
             raise BusAddressError(f"{self.address} may not be opened by this user; name another directory") from None
+        except FileNotFoundError:
+            raise
+        except OSError as error:
+            raise BusAddressError(f"{self.address} cannot be opened: {error.strerror}; name another one") from None
         try:
             self._check()
         except BusAddressError:
@@ -53,7 +71,8 @@ class HubDirectory:
 
         Raises BusInUseError when another host holds it.
         """
-        while True:
+        check_place(path)
+        for _ in range(ATTEMPTS):
             made = True
             try:
                 path.mkdir(mode=0o700, parents=True)
@@ -66,6 +85,7 @@ class HubDirectory:
                 if directory._lock():
                     directory.made = made
                     return directory
+        raise BusAddressError(f"hub:{path} is taken away as fast as it is made; name another directory")
 
     @property
     def socket_path(self) -> str:
