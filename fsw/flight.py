@@ -21,6 +21,7 @@ from fsw.guidance.guidance import feed_forward
 from fsw.inputs import Inputs
 from fsw.modes import POINT, STANDBY, Mode, ModeManager
 from fsw.outputs import Outputs
+from fsw.rate_mean import RateMean
 from fsw.records import HEALTHY, Allocation, Detection, Estimate, PointingError, Sensors, WheelCommands, WheelHealth
 from fsw.schedule import flight_schedule
 from fsw.vehicle import Vehicle
@@ -52,6 +53,7 @@ class Flight:
         self.control_slot, self.diagnostics_slot = flight_schedule(config.executive.control_divider).open_slots()
         self._control_s = control_s
         self._control_ticks = config.executive.control_divider
+        self._rate_mean = RateMean()
         self._damping_nm_s = config.modes.damping_nm_s
         self._feed_forward = config.guidance.feed_forward
         self._reset_outputs()
@@ -90,6 +92,8 @@ class Flight:
         )
         if detection.rate_step_b_rad_s != ZERO3:
             self.observer.shift_rate(detection.rate_step_b_rad_s)
+            self._rate_mean.shift(detection.rate_step_b_rad_s)
+        self._rate_mean.add(estimate.omega_bi_b_rad_s)
         if self.guidance.follows:
             self.guidance.advance(sensors.t_s)
         self.control_ran = tick >= self.control_slot.next_tick
@@ -121,9 +125,9 @@ class Flight:
             self.controller.reset()
         rate, wheels = estimate.omega_bi_b_rad_s, sensors.wheels
         momentum = self.vehicle.wheels.combine(sensors.wheel_momenta()) if self.vehicle.wheel_momentum else ZERO3
-        tau_rw_nm = self.wheel_commands.tau_rw_nm
+        tau_rw_nm, mean_rate = self.wheel_commands.tau_rw_nm, self._rate_mean.take()
         if mode is POINT:
-            tau_fault = self.observer.step(dt_s, rate, self.tau_cmd_b_nm, momentum)
+            tau_fault = self.observer.step(dt_s, mean_rate, self.tau_cmd_b_nm, momentum)
             health = self.wheel_health.step(dt_s, wheels, tau_rw_nm, tau_fault)
             error = self.guidance.find_error(estimate.q_ib, rate)
             torque = self.controller.step(dt_s, error, subtract(tau_fault, health.explained_b_nm), health)
