@@ -12,12 +12,12 @@ An address is `<transport>:<where>`:
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Sequence
 
 from bus.errors import BusAddressError
 from bus.wire.frames import Filter
 from bus.wire.transport import DEFAULT_BITRATE_BPS, DEFAULT_PATIENCE_S, DEFAULT_QUEUE_FRAMES, Transport
+from bus.words import nearest
 
 BUILT_IN = ("memory", "hub", "socketcan")
 EXPLICIT = "python-can"
@@ -94,8 +94,8 @@ def describe_unknown(address: str, scheme: str, interfaces: frozenset[str]) -> s
     if ":" not in address:
         meant = f"socketcan:{address}" if "can" in address else f"hub:{address}" if "/" in address else ""
     else:
-        near = difflib.get_close_matches(scheme, known, 1, 0.6)
-        meant = near[0] + address[len(scheme) :] if near else ""
+        near = nearest(scheme, known)
+        meant = near + address[len(scheme) :] if near else ""
     if scheme in known:
         meant = f"{scheme}:<where>"
     ours = "memory:<name>, hub:<dir>, socketcan:<interface>"

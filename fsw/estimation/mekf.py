@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Annotated, Literal, NamedTuple
 
 from bus.attitude import conjugate, dcm_from_quaternion, log_map, multiply, normalise
-from bus.linear import times
+from bus.linear import ZERO3, times
 from bus.units import Gt, Mat3, Positive, Unit, Vec3, Vec4
 from fsw.estimation.rotation import turn
 from fsw.records import Estimate, Sensors
@@ -82,7 +82,7 @@ class Mekf:
         """Forget everything; the next star-tracker frame starts the filter again."""
         self._started = False
         self._q: Vec4 = (1.0, 0.0, 0.0, 0.0)
-        self._bias: Vec3 = (0.0, 0.0, 0.0)
+        self._bias = ZERO3
         self._total: Vec4 = (1.0, 0.0, 0.0, 0.0)  # product of all corrections, inertial side
         self._rotation: Mat3 = dcm_from_quaternion(self._q)
         self._since = 0  # ticks since the covariance was last carried forward
@@ -267,7 +267,7 @@ class Mekf:
         gx = _symmetric_times(inverse, t00, t10, t20)
         gy = _symmetric_times(inverse, t01, t11, t21)
         gz = _symmetric_times(inverse, t02, t12, t22)
-        bias = (0.0, 0.0, 0.0)
+        bias = ZERO3
         if gyro_valid:
             bias = (
                 gx[0] * nx + gx[1] * ny + gx[2] * nz,

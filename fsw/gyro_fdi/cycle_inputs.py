@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from bus.linear import ZERO3, ZERO4
 from bus.units import Vec3, Vec4
 from fsw.records import Sensors
 
@@ -39,8 +40,8 @@ class CycleCollector:
 
     def _clear(self) -> None:
         self._ticks = 0
-        self._rate: Vec3 = (0.0, 0.0, 0.0)
-        self._tau: Vec4 = (0.0, 0.0, 0.0, 0.0)
+        self._rate = ZERO3
+        self._tau = ZERO4
         self._star_q: Vec4 | None = None
         self._star_tick = 0
 

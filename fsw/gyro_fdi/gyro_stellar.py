@@ -7,6 +7,7 @@ learn a gyro fault as bias before it is found.
 from __future__ import annotations
 
 from bus.attitude import conjugate, log_map, multiply, normalise
+from bus.linear import ZERO3
 from bus.units import Vec3, Vec4
 from fsw.estimation.rotation import turn
 
@@ -24,7 +25,7 @@ class GyroStellarFilter:
     def reset(self) -> None:
         """Forget attitude and bias."""
         self.q_ib: Vec4 = (1.0, 0.0, 0.0, 0.0)
-        self.bias_b_rad_s: Vec3 = (0.0, 0.0, 0.0)
+        self.bias_b_rad_s = ZERO3
 
     def propagate(self, angle_b_rad: Vec3) -> None:
         """Turn by the rotation that the gyro measured over the tick, bias taken off, body axes [rad]."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from bus.linear import ZERO3
 from bus.units import Mat3, Vec3, Vec4
 
 _MISALIGNMENT = 0.174  # sin 10 deg: how far a wheel's axis may be off
@@ -28,7 +29,7 @@ class ModelErrorBound:
     def reset(self) -> None:
         """Forget wheels, rate and counts."""
         self._h: Vec4 | None = None
-        self._w: Vec3 = (0.0, 0.0, 0.0)
+        self._w: Vec3 = ZERO3
         self._counts = [0, 0, 0]
         self._scale = [1.0, 1.0, 1.0]
 

@@ -6,7 +6,7 @@ makes the interpolation of the nine local models exact, which the paper's model 
 
 from __future__ import annotations
 
-from bus.linear import times_matrix
+from bus.linear import ZERO3, times_matrix
 from bus.units import Mat3, Vec3
 
 OPERATING_RATE_RAD_S = 0.15
@@ -58,7 +58,7 @@ def make_a(j: Mat3, j_inv: Mat3, w: Vec3) -> Mat3:
     return times_matrix(j_inv, times_matrix(_cross_matrix((-w[0], -w[1], -w[2])), j))
 
 
-def make_f(j: Mat3, j_inv: Mat3, w: Vec3, h_rw_b_nms: Vec3 = (0.0, 0.0, 0.0)) -> Mat3:
+def make_f(j: Mat3, j_inv: Mat3, w: Vec3, h_rw_b_nms: Vec3 = ZERO3) -> Mat3:
     """Return F(w, h) = -J^-1 ([w x] J - [(J w + h) x]), shape (3, 3) [rad/s].
 
     The error of an observer with premise xh obeys e' = F((x + xh)/2) e - v exactly, A being linear in w.
