@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import chain
 
 from bus.commands import Command
 from bus.telemetry.link import Link, Row, TickPacker, announce_topics, pack_input, stamp
@@ -16,7 +17,9 @@ from fsw.telemetry import (
     TICK_TOPICS,
     flatten,
     make_diagnostics,
+    read_control,
     read_internals,
+    read_tick,
 )
 
 SAFE_ASKED, SHEDDING = 1, 2  # flags of /fsw/input
@@ -49,52 +52,33 @@ class FlightLog:
         flight, link = self._flight, self.link
         t_ns = tick * self._tick_ns
         self._say_mode(tick, t_ns)
-        error, detection, counters = flight.error, flight.detection, flight.executive
-        estimate = detection.estimate
-        control = diagnostics = None
-        if flight.control_ran:
-            control = self._note_control(tick)
+        counters = flight.executive
+        diagnostics = None
+        control = read_control(flight) if flight.control_ran else None
         slot = flight.diagnostics_slot
         if tick >= slot.next_tick and slot.take(tick, bool(flags & SHEDDING)) and self._diagnostics is not None:
             diagnostics = tuple(read_internals(flight).values())
         text = "\n".join([command.to_json() for command in commands]) if commands else ""
         link.write_row((
-            tick, t_ns, counters.slips, flags, text, frames,
-            estimate.q_ib, estimate.omega_bi_b_rad_s, estimate.bias_b_rad_s, error.q_tb, flight.error_deg,
-            flight.guidance.target.q_it,
-            detection.fault_hat_b_rad_s, detection.gyro_state, flight.health.alarm,
+            tick, t_ns, counters.slips, flags, text, frames, read_tick(flight),
             counters.last_cycle_ns, counters.max_cycle_ns, counters.last_lateness_ns, link.dropped, control, diagnostics,
         ))  # fmt: skip
-
-    def _note_control(self, tick: int) -> Row:
-        """What the control group and the executive have to show, in the order of CONTROL_TOPICS."""
-        flight = self._flight
-        counters, inputs, health = flight.executive, flight.inputs.counters, flight.health
-        target = flight.guidance.target
-        return (
-            target.omega_ti_t_rad_s, target.alpha_ti_t_rad_s2,
-            flight.tau_cmd_b_nm, flight.wheel_commands.tau_rw_nm, flight.allocation.margin,
-            flight.tau_fault_hat_b_nm,
-            health.effectiveness, health.available, health.explained_b_nm,
-            tick, flight.modes.mode, counters.slips, inputs.refused, inputs.foreign, inputs.implausible, inputs.unit_fault,
-            counters.skipped, counters.caught_up, flight.diagnostics_slot.shed, flight.torques_saturated,
-        )  # fmt: skip
 
     def pack_rows(self, rows: list[Row]) -> list[bytes]:
         """The records of each cycle, from what `write` noted."""
         pack, records = self._every_tick.pack_stamped, []
         for (
-            tick, t_ns, slips, flags, commands, frames, q_ib, omega_bi, bias, q_err, error_deg, q_it, fault_hat, gyro_state, wheel_alarm, cycle_ns, max_cycle_ns, lateness_ns, dropped, control, diagnostics,
+            tick, t_ns, slips, flags, commands, frames, known, cycle_ns, max_cycle_ns, lateness_ns, dropped, control,
+            diagnostics,
         ) in rows:  # fmt: skip
             head = stamp(tick, t_ns)
-            data = pack(head, (
-                *q_ib, *omega_bi, *bias, *q_err, error_deg, *q_it, *fault_hat, *gyro_state,
-                *wheel_alarm, cycle_ns * 1e-3, max_cycle_ns * 1e-3, lateness_ns * 1e-3, dropped,
-            ))  # fmt: skip
+            values = flatten(known)
+            values += (cycle_ns * 1e-3, max_cycle_ns * 1e-3, lateness_ns * 1e-3, dropped)
+            data = pack(head, values)
             if control is not None:
                 data += self._on_control.pack_stamped(head, flatten(control))
             if diagnostics is not None and self._diagnostics is not None:
-                data += self._diagnostics.pack_stamped(head, flatten(diagnostics))
+                data += self._diagnostics.pack_stamped(head, flatten(chain.from_iterable(diagnostics)))
             records.append(data + pack_input(INPUT_CHANNEL, head, slips, flags, commands, frames))
         return records
 

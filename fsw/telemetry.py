@@ -3,10 +3,14 @@
 One record a cycle: /fsw/attitude, /fsw/fdi, /fsw/timing, and /fsw/input with what the cycle was given. One record a control
 period, on the ticks on which control ran: /fsw/guidance, /fsw/control, /fsw/observer, /fsw/wheel_health, /fsw/executive.
 With them, unless the executive sheds them, what the chosen algorithms hold inside: /fsw/law, /fsw/detector, ...
+
+A topic stands here twice: its layout, and its line in `read_tick` or `read_control`, in the same order. The log and a
+bench in Python both have their values from there.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 from bus.telemetry.link import Field, Topic
@@ -99,7 +103,41 @@ EXECUTIVE = Topic(
 )
 
 TICK_TOPICS = (ATTITUDE, DETECTION, TIMING)
-CONTROL_TOPICS = (GUIDANCE, CONTROL, OBSERVER, WHEEL_HEALTH, EXECUTIVE)
+CONTROL_TOPICS = (
+    GUIDANCE,
+    CONTROL,
+    OBSERVER,
+    WHEEL_HEALTH,
+    EXECUTIVE,
+)
+
+
+def read_tick(flight: Flight) -> tuple[Any, ...]:
+    """What a flight knows at the end of a cycle: a value a field, in the order of TICK_TOPICS without TIMING."""
+    detection, error = flight.detection, flight.error
+    estimate = detection.estimate
+    return (
+        estimate.q_ib, estimate.omega_bi_b_rad_s, estimate.bias_b_rad_s, error.q_tb, flight.error_deg,
+        flight.guidance.target.q_it,
+        detection.fault_hat_b_rad_s, detection.gyro_state, flight.health.alarm,
+    )  # fmt: skip
+
+
+def read_control(flight: Flight) -> tuple[Any, ...]:
+    """What the control group and the executive have to show: a value a field, in the order of CONTROL_TOPICS.
+
+    Tuples and numbers: they are kept until the log is written, so that no record that a later cycle changes may be in it.
+    """
+    counters, inputs, health = flight.executive, flight.inputs.counters, flight.health
+    target, sensors = flight.guidance.target, flight.inputs.sensors
+    return (
+        target.omega_ti_t_rad_s, target.alpha_ti_t_rad_s2,
+        flight.tau_cmd_b_nm, flight.wheel_commands.tau_rw_nm, flight.allocation.margin,
+        flight.tau_fault_hat_b_nm,
+        health.effectiveness, health.available, health.explained_b_nm,
+        sensors.tick, flight.modes.mode, counters.slips, inputs.refused, inputs.foreign, inputs.implausible,
+        inputs.unit_fault, counters.skipped, counters.caught_up, flight.diagnostics_slot.shed, flight.torques_saturated,
+    )  # fmt: skip
 
 
 def read_internals(flight: Flight) -> dict[str, tuple[Any, ...]]:
@@ -128,12 +166,12 @@ def internals_topic(name: str, internals: tuple[Any, ...]) -> Topic:
     return Topic(name, "hilsat/" + "".join(word.capitalize() for word in words), fields)
 
 
-def flatten(values: tuple[Any, ...]) -> list[float]:
-    """The numbers of a nest of tuples in order."""
+def flatten(values: Iterable[Any]) -> list[float]:
+    """The numbers of values that are numbers and tuples of numbers, in order."""
     flat: list[float] = []
     for value in values:
         if isinstance(value, tuple):
-            flat += flatten(value)
+            flat += value
         else:
             flat.append(value)
     return flat

@@ -28,7 +28,6 @@ import cantools
 from bus.icd.e2e import checksum_start, residue_start
 
 ICD = Path(__file__).resolve().parents[2] / "bus" / "icd"
-UNIT_SUFFIX = {"": "", "s": "_s", "N m": "_nm", "rad/s": "_rad_s", "mA": "_ma"}
 GROUPS = (  # function, first frame id, number of frames
     ("rw_cmds", 0x110, 4),
     ("rw_tlms", 0x190, 4),
@@ -103,7 +102,7 @@ def read_field(message: str, signal: Any) -> Field:
     unit = signal.unit or ""
     name = signal.name.lower()
     return Field(
-        name=name if name.endswith("seconds") else name + UNIT_SUFFIX[unit],
+        name=name if name.endswith("seconds") else name + suffix_of(unit),
         label=signal.name,
         start=signal.start // 8,
         length=signal.length,
@@ -113,6 +112,12 @@ def read_field(message: str, signal: Any) -> Field:
         maximum=signal.maximum,
         is_count=signal.scale == 1 and not unit,
     )
+
+
+def suffix_of(unit: str) -> str:
+    """What a name carries for a unit: "_nm" for "N m", "_rad_s" for "rad/s", nothing for none."""
+    words = unit.replace(" ", "").replace("/", "_").replace("^", "").lower()
+    return f"_{words}" if words else ""
 
 
 def lay_out(fields: list[Field]) -> Layout:
