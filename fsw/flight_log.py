@@ -34,6 +34,7 @@ class FlightLog:
         self.link = link
         self._tick_ns = tick_ns
         self._mode_changes = 0
+        self._rivals_said: set[int] = set()
         self._waited_for, self._since_tick, self._said = "", 0, False
         self._every_tick = TickPacker(TICK_TOPICS, FIRST_CHANNEL)
         self._on_control = TickPacker(CONTROL_TOPICS, FIRST_CHANNEL + len(TICK_TOPICS))
@@ -52,6 +53,8 @@ class FlightLog:
         flight, link = self._flight, self.link
         t_ns = tick * self._tick_ns
         self._say_mode(tick, t_ns)
+        if flight.control_ran:
+            self._say_rivals(t_ns)
         counters = flight.executive
         diagnostics = None
         control = read_control(flight) if flight.control_ran else None
@@ -81,6 +84,15 @@ class FlightLog:
                 data += self._diagnostics.pack_stamped(head, flatten(chain.from_iterable(diagnostics)))
             records.append(data + pack_input(INPUT_CHANNEL, head, slips, flags, commands, frames))
         return records
+
+    def _say_rivals(self, t_ns: int) -> None:
+        """A line, once an id, when a second node is seen to send what only one may."""
+        inputs = self._flight.inputs
+        if inputs.count_rivals():
+            for can_id in inputs.list_rivals():
+                if can_id not in self._rivals_said:
+                    self._rivals_said.add(can_id)
+                    self.link.event(t_ns, "warning", "fsw", f"two senders of 0x{can_id:03X} on the bus")
 
     def _say_mode(self, tick: int, t_ns: int) -> None:
         """A line for every change of mode, and one for what a mode has been waiting for for WAIT_S."""

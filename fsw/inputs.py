@@ -94,6 +94,14 @@ class Inputs:
         self._group.part()
         return self._links
 
+    def count_rivals(self) -> int:
+        """Frames so far that show a second sender of an id, over all ids."""
+        return sum([link.rivals for link in self._links.values()])
+
+    def list_rivals(self) -> list[int]:
+        """The ids that more than one node sends."""
+        return [can_id for can_id, link in self._links.items() if link.rivals]
+
     def receive(self, tick: int, batch: bytes) -> Sensors:
         """Everything that is known at this tick, after the given frames. The record is the same one every time."""
         self._tick = tick

@@ -99,6 +99,7 @@ EXECUTIVE = Topic(
         Field("caught_up", "float64", 1, "1", "ticks so far that were run late, back to back"),
         Field("shed", "float64", 1, "1", "times so far that a group which is not essential was left out"),
         Field("torques_saturated", "float64", 1, "1", "wheel torques so far that no frame could carry"),
+        Field("rivals", "float64", 1, "1", "frames so far that show a second sender of an id"),
     ),
 )
 
@@ -137,6 +138,7 @@ def read_control(flight: Flight) -> tuple[Any, ...]:
         health.effectiveness, health.available, health.explained_b_nm,
         sensors.tick, flight.modes.mode, counters.slips, inputs.refused, inputs.foreign, inputs.implausible,
         inputs.unit_fault, counters.skipped, counters.caught_up, flight.diagnostics_slot.shed, flight.torques_saturated,
+        flight.inputs.count_rivals(),
     )  # fmt: skip
 
 

@@ -89,6 +89,14 @@ class Channel:
         self._links = {can_id: Link(DECODERS[can_id]) for can_id in (*GROUP_IDS, HEARTBEAT_FSW_ID)}
         self._group = LinkGroup([self._links[can_id] for can_id in GROUP_IDS])
 
+    def count_rivals(self) -> int:
+        """Frames so far that show a second sender of an id, over all ids."""
+        return sum([link.rivals for link in self._links.values()])
+
+    def list_rivals(self) -> list[int]:
+        """The ids that more than one node sends."""
+        return [can_id for can_id, link in self._links.items() if link.rivals]
+
     def heartbeat(self, state: int) -> bytes:
         """One heartbeat frame of the plant."""
         counter = self._slow_counter

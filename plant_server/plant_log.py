@@ -22,6 +22,7 @@ COUNTERS = Topic(
         Field("foreign", "uint64", 1, "1", "frames that are not for the plant"),
         Field("too_old", "uint64", 1, "1", "commands whose SYNC_CNT was older than allowed"),
         Field("timeouts", "uint64", 1, "1", "wheel-ticks without a fresh enough command"),
+        Field("rivals", "uint64", 1, "1", "frames that show a second sender of an id"),
     ),
 )
 STAMPS_CHANNEL = 51
@@ -50,6 +51,7 @@ class PlantLog:
         self._channel = channel
         self.link = link
         self._tick_ns = tick_ns
+        self._rivals_said: set[int] = set()
         self._truth = make_packer()
         self._counters = TickPacker([COUNTERS], COUNTERS_CHANNEL)
         self._stamps = TickPacker([STAMPS], STAMPS_CHANNEL) if stamped else None
@@ -75,9 +77,17 @@ class PlantLog:
         counts: tuple[int, ...] = ()
         if tick % channel.heartbeat_ticks == 0:
             now = channel.counters
-            counts = (now.accepted, now.refused, now.foreign, now.too_old, now.timeouts)
+            counts = (now.accepted, now.refused, now.foreign, now.too_old, now.timeouts, channel.count_rivals())
+            self._say_rivals(t_ns)
         self.link.write_row((tick, t_ns, frames, channel.snapshot, tuple(self._arrivals), counts))
         self._arrivals.clear()
+
+    def _say_rivals(self, t_ns: int) -> None:
+        """A line, once an id, when a second node is seen to send what only one may."""
+        for can_id in self._channel.list_rivals():
+            if can_id not in self._rivals_said:
+                self._rivals_said.add(can_id)
+                self.link.event(t_ns, "warning", "plant", f"two senders of 0x{can_id:03X} on the bus")
 
     def _pack_rows(self, rows: list[Row]) -> list[bytes]:
         flatten, pack_truth, records = Plant.flatten, self._truth.pack_stamped, []
