@@ -71,7 +71,7 @@ def split(kept: list[Tick]) -> list[tuple[int, int, int, bytes]]:
     """Channel, sequence, log time, data of every message."""
     messages = []
     for _, tick, _, records in kept:
-        table, _ = walk_messages(records)
+        table = walk_messages(records).table
         for channel, t_ns, at, size in zip(*(column.tolist() for column in table), strict=True):
             messages.append((channel, tick, t_ns, records[at + DATA_AT : at + size]))
     return messages
