@@ -2,29 +2,31 @@
 
 Every topic that a process writes once a tick, or once a control period, has the tick as the sequence number of its
 records. Held against the ticks that should have run, that says what the log has not. A run's scenario says how many
-there should be; without one, as many count as any topic has.
+there should be; without one, there should be as many as any topic has.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bus.errors import RecordError
+from bus.telemetry.cdr import FRAMES_SCHEMA
 from tools.log.mcap_reader import Run
 from tools.log.topics import TopicInfo
 
 PLANT, FSW = "1", "2"  # sources of the recorder, as the channels of a log name their writer
-REQUIRED: Final = ("/truth/attitude",)  # without these there is no log of a run
-SLIPS: Final = "not run (slips)"
-DAMAGED, DROPPED, EARLY = "damaged chunk", "dropped by the recorder", "the log ends early"
-UNKNOWN: Final = "for an unknown reason"
-SHOWN: Final = 12  # gaps that a warning lists
+REQUIRED: Final = "/truth/attitude"  # without it there is no log of a run
+CONTROL_TOPICS: Final = ("/fsw/control", "/fsw/observer", "/fsw/executive", "/fsw/law", "/fsw/detector")
+SLIPS, ENDED = "not run (slips)", "not run (the plant had ended)"
+DAMAGED, DROPPED, EARLY, UNKNOWN = "damaged chunk", "dropped by the recorder", "log ends early", "unknown why"
+SHOWN: Final = 12  # lines of a warning
+END_S: Final = 1.0  # real time: how much earlier than the plant the flight software may end
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +34,7 @@ class Timetable:
     """The ticks that a run should have: what its scenario says."""
 
     ticks: int
-    tick_hz: int
+    tick_hz: float
     control_divider: int = 1
     realtime: bool = False  # the flight software may then skip ticks
 
@@ -44,19 +46,18 @@ class Gap:
     topic: str
     first: int
     last: int
-    count: int
     step: int
     reason: str
 
     @property
-    def run(self) -> bool:
-        """Whether the ticks were run, so that their records should be there."""
-        return self.reason != SLIPS
+    def ran(self) -> bool:
+        """Whether the ticks ran, so that their records should be there."""
+        return self.reason not in (SLIPS, ENDED)
 
-    def describe(self) -> str:
-        """The gap in words."""
-        ticks = f"tick {self.first}" if self.first == self.last else f"ticks {self.first} to {self.last}"
-        return f"{self.topic}: {ticks} {'is' if self.first == self.last else 'are'} not in the log ({self.reason})"
+    def describe(self, topics: str = "") -> str:
+        """The gap in words; `topics`: what to call them."""
+        ticks = f"tick {self.first} is" if self.first == self.last else f"ticks {self.first} to {self.last} are"
+        return f"{topics or self.topic}: {ticks} not in the log ({self.reason})"
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,23 +69,146 @@ class Completeness:
 
     @property
     def missing(self) -> int:
-        """Number of ticks that were run and that some topic has not; ticks that were not run do not count."""
-        by_topic: dict[str, int] = {}
-        for gap in self.gaps:
-            if gap.run:
-                by_topic[gap.topic] = by_topic.get(gap.topic, 0) + gap.count * gap.step
-        return max(by_topic.values(), default=0)
+        """Number of ticks that ran and that some topic lacks."""
+        count, reached = 0, 0
+        for gap in sorted((gap for gap in self.gaps if gap.ran), key=lambda gap: gap.first):
+            count += max(0, gap.last + 1 - max(reached, gap.first))
+            reached = max(reached, gap.last + 1)
+        return count
+
+    @property
+    def whole(self) -> bool:
+        """True when nothing that ran is missing and nothing is damaged."""
+        return not self.missing and not self.damage
 
     def describe(self) -> list[str]:
-        """All of it in words, ticks that were not run included; topics with the same gap in one line."""
-        alike: dict[tuple[int, int, str], list[str]] = {}
+        """All of it in words, a line each; topics that lack the same ticks share one."""
+        alike: dict[tuple[int, int, str], list[Gap]] = {}
         for gap in self.gaps:
-            key = (gap.first // 1, gap.last, gap.reason) if gap.step == 1 else (-gap.first - 1, gap.last, gap.reason)
-            alike.setdefault(key, []).append(gap.topic)
-        first_of = {gap.topic: gap for gap in self.gaps}
-        lines = []
-        for (first, last, reason), topics in alike.items():
-            gap = next(g for g in self.gaps if g.topic == topics[0] and g.last == last and g.reason == reason)
-            lines.append(Gap(", ".join(topics), gap.first, gap.last, gap.count, gap.step, reason).describe())
-        del first_of, first
+            alike.setdefault((gap.first, gap.last, gap.reason), []).append(gap)
+        lines = [gaps[0].describe(", ".join(gap.topic for gap in gaps)) for gaps in alike.values()]
         return lines + list(self.damage)
+
+
+def check_completeness(run: Run, timetable: Timetable | None = None) -> Completeness:
+    """What the log lacks of the ticks in `timetable`; without one: of those that any of its topics has."""
+    if timetable is None:
+        timetable = _guess_timetable(run)
+    slipped = timetable.realtime and _count_slips(run) > 0
+    gaps = []
+    damage = [_count(count, f"damaged {what}") for what, count in sorted(run.damage.items())]
+    for info in _list_tick_topics(run):
+        ticks = np.sort(run.ticks(info.name))
+        unique = np.unique(ticks)
+        if unique.size < ticks.size:
+            damage.append(f"{info.name}: {_count(ticks.size - unique.size, 'record')} of a tick that has one already")
+        step = _find_step(info, unique, timetable.control_divider)
+        for first, last in _find_gaps(unique[unique < timetable.ticks], step, timetable.ticks):
+            gaps.append(Gap(info.name, first, last, step, _explain(run, info, first, last, step, timetable, slipped)))
+    if REQUIRED not in run.topics and timetable.ticks > 0:
+        gaps.append(Gap(REQUIRED, 0, timetable.ticks - 1, 1, "the log has no such topic"))
+    if run.lost_chunks:
+        why = sorted({chunk.why for chunk in run.lost_chunks})
+        damage.insert(0, f"{_count(len(run.lost_chunks), 'damaged chunk')}: {'; '.join(why[:3])}")
+    return Completeness(tuple(gaps), tuple(damage))
+
+
+def warn_of_missing(run: Run, verb: str) -> None:
+    """Say on stderr what the log lacks, if anything, as far as the log alone says."""
+    lines = check_completeness(run).describe()
+    if not run.complete:
+        lines.append("the log has no end: it was not closed, or was cut")
+    for line in lines[:SHOWN]:
+        print(f"hilsat {verb}: {run.path}: {line}", file=sys.stderr)
+    if len(lines) > SHOWN:
+        print(f"hilsat {verb}: {run.path}: and {len(lines) - SHOWN} more holes", file=sys.stderr)
+
+
+def _count(count: int, what: str) -> str:
+    head, of, tail = what.partition(" (") if " (" in what else what.partition(" that ")
+    return f"{count} {head}{'' if count == 1 else 's'}{of}{tail}"
+
+
+def _guess_timetable(run: Run) -> Timetable:
+    last = max((int(run.ticks(info.name).max()) for info in _list_tick_topics(run) if run.has(info.name)), default=-1)
+    about = run.metadata.get("run", {})
+    try:
+        tick_hz = float(about.get("tick_hz", "0"))
+    except ValueError:
+        tick_hz = 0.0
+    return Timetable(last + 1 if REQUIRED in run.topics else 0, tick_hz, 1, about.get("clock") == "realtime")
+
+
+def _list_tick_topics(run: Run) -> list[TopicInfo]:
+    """The topics that a process of a run writes once a tick or once a control period."""
+    return [
+        info for name, info in run.topics.items()
+        if info.encoding == "cdr"
+        and (info.source in (PLANT, FSW) or name.startswith(("/truth/", "/fsw/")))
+        and (info.schema_name == FRAMES_SCHEMA or not name.startswith("/can/"))
+    ]  # fmt: skip
+
+
+def _find_step(info: TopicInfo, ticks: NDArray[np.int64], divider: int) -> int:
+    """Ticks from one record of the topic to the next: 1, or the control period."""
+    if info.source == PLANT or info.name.startswith("/truth/"):
+        return 1
+    if ticks.size < 3:
+        return divider if info.name in CONTROL_TOPICS else 1
+    usual = int(np.median(np.diff(ticks)))
+    if divider == 1:  # of a log without a scenario
+        return usual if info.name in CONTROL_TOPICS else 1
+    return divider if usual >= divider else 1
+
+
+def _find_gaps(ticks: NDArray[np.int64], step: int, count: int) -> Iterator[tuple[int, int]]:
+    """First and last of every run of missing ticks among 0 to count - 1."""
+    if not ticks.size:
+        if count:
+            yield 0, (count - 1) // step * step
+        return
+    if ticks[0] >= step:
+        yield int(ticks[0]) % step, int(ticks[0]) - step
+    after = np.flatnonzero(np.diff(ticks) > step)
+    for before, behind in zip(ticks[after].tolist(), ticks[after + 1].tolist(), strict=True):
+        yield before + step, before + (behind - before - 1) // step * step
+    end = int(ticks[-1])
+    if end + step < count:
+        yield end + step, end + (count - 1 - end) // step * step
+
+
+def _explain(
+    run: Run, info: TopicInfo, first: int, last: int, step: int, timetable: Timetable, slipped: bool
+) -> str:
+    """Why these ticks are not in the log, as far as it tells."""
+    at_end = last + step >= timetable.ticks
+    flight = info.source == FSW or info.name.startswith("/fsw/")
+    dropped = run.metadata.get("recording", {}).get(f"dropped_ticks_{FSW if flight else PLANT}", "0") != "0"
+    if timetable.tick_hz and any(
+        chunk.start_ns * 1e-9 * timetable.tick_hz <= last + step and first - step <= chunk.end_ns * 1e-9 * timetable.tick_hz
+        for chunk in run.lost_chunks
+    ):
+        return DAMAGED
+    if at_end and not run.complete:
+        return EARLY
+    if dropped:
+        return DROPPED
+    if timetable.realtime and flight and not run.lost_chunks and run.complete:
+        if slipped:
+            return SLIPS
+        if at_end and (last - first + step) <= END_S * timetable.tick_hz:
+            return ENDED
+    if at_end:
+        return EARLY
+    return DAMAGED if run.lost_chunks else UNKNOWN
+
+
+def _count_slips(run: Run) -> int:
+    """Deadlines that the flight software says it missed."""
+    if not run.has("/fsw/executive"):
+        return 0
+    try:
+        slips = run.signals("/fsw/executive")["slips"]
+    except (RecordError, KeyError):
+        return 0
+    return int(slips[-1]) if slips.ndim == 1 and np.isfinite(slips[-1]) else 0

@@ -133,7 +133,8 @@ class Run:
     def prefetch(self, wanted: Mapping[str, Iterable[str]]) -> None:
         """Read the times and these fields of these topics in one pass over the file, as far as they are not yet read."""
         fields = {
-            topic: [name for name in names if (topic, name) not in self._fields] for topic, names in wanted.items()
+            topic: [name for name in dict.fromkeys(names) if (topic, name) not in self._fields]
+            for topic, names in wanted.items()
         }
         missing = {topic: names for topic, names in fields.items() if names or topic not in self._times}
         if not missing:
