@@ -46,9 +46,7 @@ def judge_faults(
     return verdicts
 
 
-def find_effect(
-    records: list[dict[str, Any]], own_id: str, fault: FaultConfig, due: int
-) -> tuple[int | None, str]:
+def find_effect(records: list[dict[str, Any]], own_id: str, fault: FaultConfig, due: int) -> tuple[int | None, str]:
     """Tick at which the fault first had an effect, or None and why it does not count.
 
     records : of /faults, with id, unit, fault, phase, tick

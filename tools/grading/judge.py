@@ -85,7 +85,14 @@ def _add_note(verdict: Verdict, note: str) -> Verdict:
         return verdict
     detail = f"{verdict.detail}; {note}" if verdict.detail else note
     return Verdict(
-        verdict.name, verdict.outcome, verdict.value, verdict.bound, verdict.margin, verdict.unit, detail, verdict.source
+        verdict.name,
+        verdict.outcome,
+        verdict.value,
+        verdict.bound,
+        verdict.margin,
+        verdict.unit,
+        detail,
+        verdict.source,
     )
 
 
@@ -146,7 +153,9 @@ def _judge_holding(item: Holding, t_s: Floats, values: Floats) -> Verdict:
         worst = int(np.argmin(slack))
         margin = float(slack[worst])
         detail = f"at t = {t_s[worst]:g} s"
-        return Verdict(item.name, decide(margin >= 0), float(values[worst]), bound, margin, item.unit, detail, item.source)
+        return Verdict(
+            item.name, decide(margin >= 0), float(values[worst]), bound, margin, item.unit, detail, item.source
+        )
     spells = _spells(slack >= 0, t_s)
     end_s = float(t_s[-1])
     for_s = item.for_s

@@ -92,6 +92,7 @@ class Completeness:
 
 def check_completeness(run: Run, timetable: Timetable | None = None) -> Completeness:
     """What the log lacks of the ticks in `timetable`; without one: of those that any of its topics has."""
+    guessed = timetable is None
     if timetable is None:
         timetable = _guess_timetable(run)
     slipped = timetable.realtime and _count_slips(run) > 0
@@ -105,17 +106,20 @@ def check_completeness(run: Run, timetable: Timetable | None = None) -> Complete
         step = _find_step(info, unique, timetable.control_divider)
         for first, last in _find_gaps(unique[unique < timetable.ticks], step, timetable.ticks):
             gaps.append(Gap(info.name, first, last, step, _explain(run, info, first, last, step, timetable, slipped)))
-    if REQUIRED not in run.topics and timetable.ticks > 0:
+    if REQUIRED not in run.topics and not guessed:
         gaps.append(Gap(REQUIRED, 0, timetable.ticks - 1, 1, "the log has no such topic"))
+    refused = run.metadata.get("recording", {}).get("refused")
+    if refused:
+        damage.append(f"frames that the log has no room for: {refused}")
     if run.lost_chunks:
         why = sorted({chunk.why for chunk in run.lost_chunks})
         damage.insert(0, f"{_count(len(run.lost_chunks), 'damaged chunk')}: {'; '.join(why[:3])}")
     return Completeness(tuple(gaps), tuple(damage))
 
 
-def warn_of_missing(run: Run, verb: str) -> None:
-    """Say on stderr what the log lacks, if anything, as far as the log alone says."""
-    lines = check_completeness(run).describe()
+def warn_of_missing(run: Run, verb: str, timetable: Timetable | None = None) -> None:
+    """Say on stderr what the log lacks, if anything; without a timetable: as far as the log alone says."""
+    lines = check_completeness(run, timetable).describe()
     if not run.complete:
         lines.append("the log has no end: it was not closed, or was cut")
     for line in lines[:SHOWN]:
@@ -136,7 +140,8 @@ def _guess_timetable(run: Run) -> Timetable:
         tick_hz = float(about.get("tick_hz", "0"))
     except ValueError:
         tick_hz = 0.0
-    return Timetable(last + 1 if REQUIRED in run.topics else 0, tick_hz, 1, about.get("clock") == "realtime")
+    ours = any(info.source for info in run.topics.values())
+    return Timetable(last + 1 if ours else 0, tick_hz, 1, about.get("clock") == "realtime")
 
 
 def _list_tick_topics(run: Run) -> list[TopicInfo]:
@@ -177,15 +182,14 @@ def _find_gaps(ticks: NDArray[np.int64], step: int, count: int) -> Iterator[tupl
         yield end + step, end + (count - 1 - end) // step * step
 
 
-def _explain(
-    run: Run, info: TopicInfo, first: int, last: int, step: int, timetable: Timetable, slipped: bool
-) -> str:
+def _explain(run: Run, info: TopicInfo, first: int, last: int, step: int, timetable: Timetable, slipped: bool) -> str:
     """Why these ticks are not in the log, as far as it tells."""
     at_end = last + step >= timetable.ticks
     flight = info.source == FSW or info.name.startswith("/fsw/")
     dropped = run.metadata.get("recording", {}).get(f"dropped_ticks_{FSW if flight else PLANT}", "0") != "0"
     if timetable.tick_hz and any(
-        chunk.start_ns * 1e-9 * timetable.tick_hz <= last + step and first - step <= chunk.end_ns * 1e-9 * timetable.tick_hz
+        chunk.start_ns * 1e-9 * timetable.tick_hz <= last + step
+        and first - step <= chunk.end_ns * 1e-9 * timetable.tick_hz
         for chunk in run.lost_chunks
     ):
         return DAMAGED

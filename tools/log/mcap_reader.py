@@ -45,6 +45,7 @@ class Signals(Mapping[str, NDArray[Any]]):
     def __init__(self, run: Run, topic: str, layout: np.dtype[Any]) -> None:
         self._run = run
         self._topic = topic
+        self.layout = layout
         self.fields = tuple(name for name in layout.names or () if name != "stamp")
 
     def __getitem__(self, name: str) -> NDArray[Any]:
@@ -76,9 +77,19 @@ class Run:
         self.topics: dict[str, TopicInfo] = list_topics(content.channels.values(), content.schemas)
         self.lost_chunks = content.lost_chunks
         self.damage = content.damage  # what else is damaged -> how often; grows as JSON records are read
+        self._count_unreadable()
         self._times: dict[str, NDArray[np.int64]] = {}
         self._fields: dict[tuple[str, str], NDArray[Any]] = {}
         self._layouts: dict[str, np.dtype[Any]] = {}
+
+    def _count_unreadable(self) -> None:
+        """Note the messages that belong to no topic: of a channel unknown, or laid out otherwise than its topic."""
+        readable = {channel for info in self.topics.values() for channel in info.channels}
+        for channel, tally in self._content.tallies.items():
+            if channel not in self._content.channels:
+                self.damage["message of a channel that is not described"] += tally.count
+            elif channel not in readable:
+                self.damage["message laid out otherwise than its topic"] += tally.count
 
     # -- what there is ---------------------------------------------------------------------------------------------
 
@@ -109,7 +120,9 @@ class Run:
         """
         found = {record.data for record in self._content.attachments if record.name == name}
         if len(found) > 1:
-            raise RecordError(f"{self.path}: {len(found)} different files called {name} are attached: which one counts?")
+            raise RecordError(
+                f"{self.path}: {len(found)} different files called {name} are attached: which one counts?"
+            )
         if not found and any(what.startswith(f"attachment {name!r}") for what in self.damage):
             raise RecordError(f"{self.path}: the attached {name} is damaged (its checksum does not match)")
         return next(iter(found), None)
@@ -122,7 +135,7 @@ class Run:
         self.prefetch({topic: ()})
         return self._times[topic]
 
-    def signals(self, topic: str) -> Mapping[str, NDArray[Any]]:
+    def signals(self, topic: str) -> Signals:
         """Field -> its values, shape (n,) or (n, count), in the unit that `topics[topic].units` states.
 
         Raises RecordError for a topic that has no fields of fixed size, and on reading a field of one whose records are
@@ -183,12 +196,20 @@ class Run:
             for sequence, t_ns, at, size in zip(*(column[rows].tolist() for column in columns), strict=True):
                 yield LogRecord(sequence, t_ns, stretch.data[at + DATA_AT : at + size])
 
+    def decode(self, topic: str, data: bytes) -> dict[str, Any]:
+        """Field -> value of one message of a topic of signals. Raises RecordError where it is not of that layout."""
+        layout = self._layout(topic)
+        if len(data) != ENCAPSULATION_SIZE + layout.itemsize:
+            raise RecordError(f"{self.path}: a record of {topic} has not the size that its schema says")
+        row = np.frombuffer(data, layout, 1, ENCAPSULATION_SIZE)[0]
+        return {name: row[name].tolist() for name in layout.names or () if name != "stamp"}
+
     def payloads(self, topic: str) -> list[bytes]:
         """The message data of a topic, undecoded."""
         return [record.data for record in self.iterate(topic)]
 
     def records(self, topic: str) -> list[dict[str, Any]]:
-        """The JSON objects of a topic, each with its log time as `t_ns` [ns]. What is no JSON object is counted as damage."""
+        """The JSON objects of a topic, each with its log time as `t_ns` [ns]. Others are counted as damage."""
         if topic not in self.topics:
             return []
         found = []
@@ -298,7 +319,8 @@ class Run:
         if (stretch.table.size[rows] != size).any():
             raise RecordError(f"{self.path}: a record of {topic} has not the {size} bytes that its schema says")
         data = np.frombuffer(stretch.data, np.uint8)
-        return data[stretch.table.offset[rows][:, None] + np.arange(start, size)].view(layout).reshape(-1)
+        table: NDArray[Any] = data[stretch.table.offset[rows][:, None] + np.arange(start, size)].view(layout)
+        return table.reshape(-1)
 
 
 def _read_frames(stretch: Stretch, rows: NDArray[np.int64]) -> NDArray[Any]:

@@ -15,7 +15,7 @@ import zlib
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
-from typing import BinaryIO, Final, NamedTuple
+from typing import Any, BinaryIO, Final, NamedTuple
 
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
@@ -34,7 +34,7 @@ LENGTH: Final = struct.Struct("<Q")
 LONGEST_NAME: Final = 64  # of a compression [bytes]
 LONGEST_RECORD: Final = MAX_CHUNK_BYTES + 1024 * 1024
 BATCH_BYTES: Final = 1024 * 1024  # of messages outside chunks, read together
-KEPT: Final = {
+KEPT: Final[dict[int, Any]] = {
     Opcode.HEADER: Header, Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel, Opcode.METADATA: Metadata,
     Opcode.ATTACHMENT: Attachment,
 }  # fmt: skip
@@ -94,13 +94,13 @@ class McapContent:
             self.size = os.fstat(file.fileno()).st_size
             magic = file.read(len(MCAP_MAGIC))
             if magic != MCAP_MAGIC:
-                raise RecordError(f"{path}: this is not an MCAP file (it does not start with the bytes 89 4D 43 41 50 30)")
+                raise RecordError(
+                    f"{path}: this is not an MCAP file (it does not start with the bytes 89 4D 43 41 50 30)"
+                )
             self._walk()
             self._survey()
         except (OSError, ValueError) as error:
-            raise RecordError(
-                f"{path}: cannot read the log: {getattr(error, 'strerror', None) or error}"
-            ) from None
+            raise RecordError(f"{path}: cannot read the log: {getattr(error, 'strerror', None) or error}") from None
 
     # -- records of the file ---------------------------------------------------------------------------------------
 
@@ -136,7 +136,11 @@ class McapContent:
 
     def _add_message(self, at: int, end: int) -> None:
         last = self.pieces[-1] if self.pieces else None
-        if last is not None and last.kind == Opcode.MESSAGE and last.offset + last.length == at < last.offset + BATCH_BYTES:
+        if (
+            last is not None
+            and last.kind == Opcode.MESSAGE
+            and last.offset + last.length == at < last.offset + BATCH_BYTES
+        ):
             self.pieces[-1] = last._replace(length=end - last.offset)
         else:
             self.pieces.append(Piece(Opcode.MESSAGE, at, end - at))
@@ -150,7 +154,7 @@ class McapContent:
         """Keep a record that is not data; a damaged one is counted."""
         name = Opcode(opcode).name.lower()
         try:
-            record = KEPT[Opcode(opcode)].read(ReadDataStream(io.BytesIO(body)))
+            record = KEPT[opcode].read(ReadDataStream(io.BytesIO(body)))
         except UNREADABLE:
             self.damage[f"{name} record"] += 1
             return
@@ -192,7 +196,9 @@ class McapContent:
             if piece.kind == 0:
                 self.salvaged = len(stretch.table.channel)
             for channel, rows in stretch.table.split():
-                self.tallies.setdefault(channel, Tally()).add(stretch.table.sequence[rows], stretch.table.log_time_ns[rows])
+                self.tallies.setdefault(channel, Tally()).add(
+                    stretch.table.sequence[rows], stretch.table.log_time_ns[rows]
+                )
             whole.append(piece)
         self.pieces = whole
 

@@ -25,7 +25,7 @@ class MessageDecoder:
         """The frames of the message that are long enough. frames: structured array with t_ns, id, dlc, data."""
         message = self._message
         flags = 0x80000000 if message.is_extended_frame else 0
-        mine = frames[(frames["id"] == message.frame_id | flags) & (frames["dlc"] >= message.length)]
+        mine: NDArray[Any] = frames[(frames["id"] == message.frame_id | flags) & (frames["dlc"] >= message.length)]
         return mine
 
     def decode(self, mine: NDArray[Any]) -> dict[str, NDArray[Any]]:
