@@ -1,8 +1,8 @@
 """What is missing in a log: which ticks of which topic, and why.
 
 Every topic that a process writes once a tick, or once a control period, has the tick as the sequence number of its
-records. Held against the ticks that should have run, that says what the log has not. A run's scenario says how many
-there should be; without one, there should be as many as any topic has.
+records. Held against the ticks that should have run, that says what the log has not. The scenario that a log carries says
+how many there should be; without one, there should be as many as any topic has.
 """
 
 from __future__ import annotations
@@ -10,13 +10,15 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bus.errors import RecordError
 from bus.telemetry.cdr import FRAMES_SCHEMA
+from tools.config.findings import Source
+from tools.config.yaml_nodes import read_yaml
 from tools.log.mcap_reader import Run
 from tools.log.topics import TopicInfo
 
@@ -26,6 +28,8 @@ CONTROL_TOPICS: Final = ("/fsw/control", "/fsw/observer", "/fsw/executive", "/fs
 SLIPS, ENDED = "not run (slips)", "not run (the plant had ended)"
 DAMAGED, DROPPED, EARLY, UNKNOWN = "damaged chunk", "dropped by the recorder", "log ends early", "unknown why"
 SHOWN: Final = 12  # lines of a warning
+MOST_TICKS: Final = 10**9
+LONGEST_SCENARIO: Final = 64 * 1024  # bytes that are read for no more than three numbers
 END_S: Final = 1.0  # real time: how much earlier than the plant the flight software may end
 
 
@@ -91,10 +95,9 @@ class Completeness:
 
 
 def check_completeness(run: Run, timetable: Timetable | None = None) -> Completeness:
-    """What the log lacks of the ticks in `timetable`; without one: of those that any of its topics has."""
-    guessed = timetable is None
-    if timetable is None:
-        timetable = _guess_timetable(run)
+    """What the log lacks of the ticks in `timetable`; without one: in the attached scenario."""
+    graded = timetable is not None
+    timetable = timetable or _find_timetable(run)
     slipped = timetable.realtime and _count_slips(run) > 0
     gaps = []
     damage = [_count(count, f"damaged {what}") for what, count in sorted(run.damage.items())]
@@ -106,7 +109,7 @@ def check_completeness(run: Run, timetable: Timetable | None = None) -> Complete
         step = _find_step(info, unique, timetable.control_divider)
         for first, last in _find_gaps(unique[unique < timetable.ticks], step, timetable.ticks):
             gaps.append(Gap(info.name, first, last, step, _explain(run, info, first, last, step, timetable, slipped)))
-    if REQUIRED not in run.topics and not guessed:
+    if REQUIRED not in run.topics and graded:
         gaps.append(Gap(REQUIRED, 0, timetable.ticks - 1, 1, "the log has no such topic"))
     refused = run.metadata.get("recording", {}).get("refused")
     if refused:
@@ -117,9 +120,9 @@ def check_completeness(run: Run, timetable: Timetable | None = None) -> Complete
     return Completeness(tuple(gaps), tuple(damage))
 
 
-def warn_of_missing(run: Run, verb: str, timetable: Timetable | None = None) -> None:
-    """Say on stderr what the log lacks, if anything; without a timetable: as far as the log alone says."""
-    lines = check_completeness(run, timetable).describe()
+def warn_of_missing(run: Run, verb: str) -> None:
+    """Say on stderr what the log lacks, if anything."""
+    lines = check_completeness(run).describe()
     if not run.complete:
         lines.append("the log has no end: it was not closed, or was cut")
     for line in lines[:SHOWN]:
@@ -133,15 +136,41 @@ def _count(count: int, what: str) -> str:
     return f"{count} {head}{'' if count == 1 else 's'}{of}{tail}"
 
 
-def _guess_timetable(run: Run) -> Timetable:
-    last = max((int(run.ticks(info.name).max()) for info in _list_tick_topics(run) if run.has(info.name)), default=-1)
-    about = run.metadata.get("run", {})
+def _find_timetable(run: Run) -> Timetable:
+    """What the attached scenario says, unchecked; without one that can be read: the ticks that any topic has."""
+    scenario = _read_scenario(run)
     try:
-        tick_hz = float(about.get("tick_hz", "0"))
-    except ValueError:
-        tick_hz = 0.0
+        tick_hz = int(scenario["clock"]["tick_hz"])
+        divider = int(scenario["fsw"]["executive"]["control_divider"])
+        ticks = round(float(scenario["duration_s"]) * tick_hz)
+        if 0 < ticks <= MOST_TICKS and 0 < divider <= ticks:
+            return Timetable(ticks, tick_hz, divider, scenario["clock"]["mode"] == "realtime")
+    except (KeyError, TypeError, ValueError, OverflowError):
+        pass
+    last = max((int(run.ticks(info.name).max()) for info in _list_tick_topics(run) if run.has(info.name)), default=-1)
     ours = any(info.source for info in run.topics.values())
-    return Timetable(last + 1 if ours else 0, tick_hz, 1, about.get("clock") == "realtime")
+    return Timetable(
+        last + 1 if ours else 0, _read_rate(run), 1, run.metadata.get("run", {}).get("clock") == "realtime"
+    )
+
+
+def _read_scenario(run: Run) -> dict[str, Any]:
+    try:
+        data = run.attachment("scenario.yaml")
+        if data is None or len(data) > LONGEST_SCENARIO:
+            return {}
+        node, _ = read_yaml(Source("scenario.yaml", data.decode()))
+    except (RecordError, ValueError, RecursionError):
+        return {}
+    plain = node.plain() if node is not None else None
+    return plain if isinstance(plain, dict) else {}
+
+
+def _read_rate(run: Run) -> float:
+    try:
+        return float(run.metadata.get("run", {}).get("tick_hz", "0"))
+    except ValueError:
+        return 0.0
 
 
 def _list_tick_topics(run: Run) -> list[TopicInfo]:

@@ -170,7 +170,7 @@ def _write_json(log: Run, topic: str, file: TextIO) -> None:
     writer.writerows([_as_cell(record.get(name, "")) for name in names] for record in records)
     lost = log.count(topic) - len(records)
     if lost:
-        _skip(topic, RecordError(f"{lost} of its records, which are no JSON objects"))
+        print(f"hilsat export: {topic}: {lost} of its records are no JSON objects and are left out", file=sys.stderr)
 
 
 def _as_cell(value: Any) -> Any:
@@ -209,6 +209,8 @@ def export_frames(log: Run, topics: list[str], out: Path, form: str, force: bool
     wrong = [topic for topic in topics if log.topics[topic].schema_name != FRAMES_SCHEMA]
     if wrong:
         raise UsageError(f"{wrong[0]} has no frames; --to {form} takes frames, from the topics /can/...")
+    if not log.buses():
+        raise UsageError(f"{log.path}: no frames are logged, so there is nothing to write as {form}; use --to csv")
     with create(out, log.path, force) as part, FRAME_WRITERS[form](part) as writer:
         for message in iterate_frames(log, [topic.removeprefix("/can/") for topic in topics]):
             writer.on_message_received(message)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from bus.errors import RecordError
-from tools.log.completeness import check_completeness
+from tools.log.completeness import EARLY, check_completeness
 from tools.log.mcap_reader import Run
 from tools.log.mcap_records import McapContent, Stretch
 from tools.log.mcap_writer import McapWriter
@@ -35,6 +35,7 @@ class Recovery:
     cut_bytes: int  # at the end of the file, part of no whole record
     damaged_chunks: int
     lost: tuple[str, ...]  # what is missing, and why, in words
+    holes: bool  # something else is missing than the end of the run
 
 
 def recover(path: Path, out: Path, force: bool = False) -> Recovery:
@@ -59,7 +60,8 @@ def recover(path: Path, out: Path, force: bool = False) -> Recovery:
 
 def _describe(content: McapContent) -> Recovery:
     run = Run(content)
-    lost = check_completeness(run).describe()
+    completeness = check_completeness(run)
+    lost = completeness.describe()
     unfinished = content.complete and "run" in run.metadata and not {"recording", "recovery"} & run.metadata.keys()
     if unfinished:
         lost.append(UNFINISHED)
@@ -80,6 +82,9 @@ def _describe(content: McapContent) -> Recovery:
         cut_bytes=0 if content.complete else content.size - content.whole,
         damaged_chunks=len(content.lost_chunks),
         lost=tuple(lost),
+        holes=unfinished
+        or bool(completeness.damage)
+        or any(gap.ran and gap.reason != EARLY for gap in completeness.gaps),
     )
 
 
@@ -139,10 +144,10 @@ def add_parser(subparsers: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Recover; exit code 0 when everything up to the end of the file is there, 3 when something inside it is lost."""
+    """Recover; exit code 0 when nothing but the end of the run is missing, 3 when something before it is."""
     found = recover(args.log, args.out or args.log.with_suffix(".recovered.mcap"), args.force)
     if args.json:
         print(json.dumps(dataclasses.asdict(found)))
     else:
         print(format_recovery(found), file=sys.stdout)
-    return 3 if len(found.lost) > (not found.closed) else 0
+    return 3 if found.holes else 0

@@ -33,7 +33,20 @@ def draw_run(run: Run, resolved: Resolved, path: Path, form: str = "png") -> Pat
 
     if not run.has("/truth/attitude"):
         raise RecordError(f"{run.path}: no truth is logged, so there is nothing to draw")
-    figure, axes = plt.subplots(4, 1, sharex=True, figsize=(11, 11), layout="constrained")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of letters that the font has not, of legends without a line
+        figure, axes = plt.subplots(4, 1, sharex=True, figsize=(11, 11), layout="constrained")
+        try:
+            _draw(figure, axes, run, resolved)
+            figure.savefig(path, dpi=110, format=form)
+        except OSError as error:
+            raise RecordError(f"{path}: cannot write the picture: {error.strerror}") from None
+        finally:
+            plt.close(figure)
+    return path
+
+
+def _draw(figure: Any, axes: Any, run: Run, resolved: Resolved) -> None:
     scenario = resolved.scenario
     figure.suptitle(f"{scenario.name}: {scenario.title}" if scenario.title else scenario.name, parse_math=False)
     _draw_error(axes[0], run)
@@ -44,15 +57,6 @@ def draw_run(run: Run, resolved: Resolved, path: Path, form: str = "png") -> Pat
     for axis in axes:
         axis.grid(alpha=0.3)
     _mark_faults(axes, run.faults)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of letters that the font has not
-            figure.savefig(path, dpi=110, format=form)
-    except OSError as error:
-        raise RecordError(f"{path}: cannot write the picture: {error.strerror}") from None
-    finally:
-        plt.close(figure)
-    return path
 
 
 def _read_thinned(run: Run, topic: str, field: str, scale: float = 1.0) -> tuple[Any, Any] | None:

@@ -24,7 +24,7 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Draw and print the path of the picture."""
-    from tools.grading.grade import make_timetable, scenario_of
+    from tools.grading.grade import scenario_of
     from tools.log.completeness import warn_of_missing
     from tools.log.mcap_reader import read_run
     from tools.log.outputs import create
@@ -36,7 +36,7 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(f"{out}: a picture is one of {', '.join(FORMATS)}, by the end of its name")
     run_log = read_run(args.log)
     resolved = scenario_of(run_log, args.log)
-    warn_of_missing(run_log, "plot", make_timetable(resolved))
+    warn_of_missing(run_log, "plot")
     with create(out, args.log, args.force) as part:
         draw_run(run_log, resolved, part, form)
     print(out)
