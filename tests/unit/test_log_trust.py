@@ -14,18 +14,19 @@ import pytest
 
 import bus
 import tools.grading.grade as grading
-from bus.errors import ConfigError, HilsatError, RecordError
+from bus.errors import ConfigError, HilsatError, RecordError, UsageError
 from bus.telemetry.link import Field, TickPacker, Topic, announce_topics
 from plant_server.config import FaultConfig
 from tools.config.loader import load_scenario, load_text
 from tools.config.scenario import Resolved
 from tools.grading.faults import find_effect, judge_faults
-from tools.grading.grade import Grade, format_grade, grade_file, grade_run
+from tools.grading.grade import Grade, format_grade, grade_file
 from tools.log.completeness import Completeness, Gap, Timetable, check_completeness
 from tools.log.mcap_reader import read_run
-from tools.log.recorder import CHUNK_BYTES, Recorder, RunAttachment
+from tools.log.recorder import Recorder, RunAttachment
 from tools.log.recover import recover
 from tools.verbs import grade as grade_verb
+from tools.verbs import plot as plot_verb
 
 NOMINAL = Path(bus.__file__).resolve().parents[1] / "scenarios" / "nominal.yaml"
 TICKS, TICK_NS = 20, 100_000_000  # 2 s at 10 Hz
@@ -53,7 +54,7 @@ def never(tick: int) -> bool:
 
 def write_log(
     path: Path, resolved: Resolved, *, skip_truth: Skip = never, skip_fsw: Skip = never, dropped: int = 0,
-    faults: FaultRecords = (), ticks: int = TICKS, close: bool = True, text: str = "", padding: int = 0,
+    faults: FaultRecords = (), ticks: int = TICKS, close: bool = True, text: str = "",
 ) -> Path:  # fmt: skip
     """error_deg = tick in the truth and in the flight software; small chunks, so that there are several."""
     attachment = RunAttachment("scenario.yaml", "application/yaml", (text or resolved.to_yaml()).encode())
@@ -189,9 +190,7 @@ def test_a_tick_twice_is_not_two_ticks(tmp_path: Path) -> None:
 
 def test_ticks_that_the_flight_software_skipped_in_real_time_are_no_hole(tmp_path: Path) -> None:
     """With slips counted, /fsw may lack ticks; an expectation over it says so. The truth never may."""
-    resolved = scenario(
-        "[{name: f, check: below, signal: fsw.attitude.error_deg, bound: 99}]", mode="realtime"
-    )
+    resolved = scenario("[{name: f, check: below, signal: fsw.attitude.error_deg, bound: 99}]", mode="realtime")
     path = write_log(tmp_path / "a.mcap", resolved, skip_fsw=lambda t: t in (8, 9))
     timetable = grading.make_timetable(resolved)
     assert timetable.realtime
@@ -232,7 +231,9 @@ def test_a_fault_without_ids_is_gated_by_unit_kind_and_tick(tmp_path: Path) -> N
         assert grade.outcome == "fail"
 
 
-def fault_record(phase: str, tick: int, own_id: str = "faults[0]", unit: str = "wheel.1", kind: str = "loss") -> dict[str, Any]:
+def fault_record(
+    phase: str, tick: int, own_id: str = "faults[0]", unit: str = "wheel.1", kind: str = "loss"
+) -> dict[str, Any]:
     return {"id": own_id, "number": 1, "unit": unit, "fault": kind, "phase": phase, "tick": tick}
 
 
@@ -295,6 +296,31 @@ def test_a_flipped_bound_is_not_believed(tmp_path: Path) -> None:
     (tmp_path / "b.mcap").write_bytes(raw[: start - 9] + other + raw[start - 9 :])
     with pytest.raises(RecordError, match="2 different files called scenario"):
         grade_file(tmp_path / "b.mcap")
+
+
+# -- pictures ------------------------------------------------------------------------------------------------------
+
+
+def test_a_picture_of_anything_or_words(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Broken TeX in title and fault is text; an unknown kind of picture, and one that is there, are refused."""
+    resolved = load_scenario(NOMINAL, ["duration_s=2", r"title='50 $ \\frac{ of $'", "expect=[]"])
+    path = write_log(tmp_path / "a.mcap", resolved, faults=(("$\\frac{", "loss", "onset", 10),), ticks=15)
+
+    def plot(out: str, force: bool = False) -> int:
+        return plot_verb.run(type("Words", (), {"log": path, "out": tmp_path / out, "force": force})())
+
+    assert plot("a.png") == 0
+    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
+    assert "log ends early" in capsys.readouterr().err
+    for out, words in (
+        ("a.png", "there already"),
+        ("a.xyz", "one of png"),
+        ("a.mcap", "one of png"),
+        ("a", "one of png"),
+    ):
+        with pytest.raises(UsageError, match=words):
+            plot(out)
+    assert plot("a.png", force=True) == 0
 
 
 # -- bytes ---------------------------------------------------------------------------------------------------------

@@ -140,6 +140,8 @@ class McapWriter:
         known = [s.id for s in self._schemas.values() if (s.name, s.encoding, s.data) == (name, schema_encoding, data)]
         if known:
             schema_id = known[0]
+        elif not (name or schema_encoding or data):
+            schema_id = 0  # which stands for none
         else:
             schema_id = len(self._schemas) + 1
             self._schemas[schema_id] = Schema(id=schema_id, name=name, encoding=schema_encoding, data=data)
