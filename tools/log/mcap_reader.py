@@ -153,23 +153,27 @@ class Run:
         if not missing:
             return
         owner = {channel: topic for topic in missing for channel in self._info(topic).channels}
-        times: dict[str, list[NDArray[Any]]] = {topic: [] for topic in missing}
-        values: dict[tuple[str, str], list[NDArray[Any]]] = {
-            (topic, name): [] for topic, names in missing.items() for name in names
+        # Their length is known: filled in place, they need no second copy.
+        times = {topic: np.empty(self.count(topic), np.int64) for topic in missing}
+        values = {
+            (topic, name): np.empty(self.count(topic), self._layout(topic)[name])
+            for topic, names in missing.items()
+            for name in names
         }
+        at = dict.fromkeys(missing, 0)
         for stretch in self._content.stretches():
             for channel, rows in stretch.table.split():
                 topic = owner.get(channel)
                 if topic is not None:
-                    times[topic].append(stretch.table.log_time_ns[rows])
+                    here = slice(at[topic], at[topic] + rows.size)
+                    at[topic] = here.stop
+                    times[topic][here] = stretch.table.log_time_ns[rows]
                     if missing[topic]:
                         table = self._gather(topic, stretch, rows)
                         for name in missing[topic]:
-                            values[topic, name].append(table[name].copy())
-        for topic, pieces in times.items():
-            self._times[topic] = np.concatenate(pieces) if pieces else np.empty(0, np.int64)
-        for (topic, name), pieces in values.items():
-            self._fields[topic, name] = np.concatenate([np.empty(0, self._layout(topic))[name], *pieces])
+                            values[topic, name][here] = table[name]
+        self._times |= times
+        self._fields |= values
 
     def cached_field(self, topic: str, name: str) -> NDArray[Any]:
         """A field that was prefetched."""
