@@ -28,6 +28,7 @@ GUIDANCE = Topic(
         Field("omega_ti_t_rad_s", "float64", 3, "rad/s", "rate of the target, target axes"),
         Field("alpha_ti_t_rad_s2", "float64", 3, "rad/s^2", "its rate of change, target axes"),
     ),
+    every="control",
 )
 ATTITUDE = Topic(
     "/fsw/attitude",
@@ -69,11 +70,13 @@ CONTROL = Topic(
         Field("tau_rw_cmd_nm", "float64", 4, "N m", "wheel torques commanded, as sent"),
         Field("margin", "float64", 1, "1", "share of the most loaded wheel's torque that was still free"),
     ),
+    every="control",
 )
 OBSERVER = Topic(
     "/fsw/observer",
     "hilsat/FswObserver",
     (Field("tau_fault_hat_b_nm", "float64", 3, "N m", "lumped fault torque on the body, body axes"),),
+    every="control",
 )
 WHEEL_HEALTH = Topic(
     "/fsw/wheel_health",
@@ -83,6 +86,7 @@ WHEEL_HEALTH = Topic(
         Field("available", "float64", 4, "1", "0: switched off and not used"),
         Field("explained_b_nm", "float64", 3, "N m", "the part of the fault torque that these shares account for"),
     ),
+    every="control",
 )
 EXECUTIVE = Topic(
     "/fsw/executive",
@@ -101,6 +105,7 @@ EXECUTIVE = Topic(
         Field("torques_saturated", "float64", 1, "1", "wheel torques so far that no frame could carry"),
         Field("rivals", "float64", 1, "1", "frames so far that show a second sender of an id"),
     ),
+    every="control",
 )
 
 TICK_TOPICS = (ATTITUDE, DETECTION, TIMING)
@@ -165,7 +170,7 @@ def internals_topic(name: str, internals: tuple[Any, ...]) -> Topic:
     shapes = zip(type(internals)._fields, internals, strict=True)  # type: ignore[attr-defined]
     fields = tuple(Field(key, "float64", len(value) if isinstance(value, tuple) else 1) for key, value in shapes)
     words = name.strip("/").replace("_", "/").split("/")
-    return Topic(name, "hilsat/" + "".join(word.capitalize() for word in words), fields)
+    return Topic(name, "hilsat/" + "".join(word.capitalize() for word in words), fields, every="diagnostic")
 
 
 def flatten(values: Iterable[Any]) -> list[float]:

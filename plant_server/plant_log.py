@@ -24,6 +24,7 @@ COUNTERS = Topic(
         Field("timeouts", "uint64", 1, "1", "wheel-ticks without a fresh enough command"),
         Field("rivals", "uint64", 1, "1", "frames that show a second sender of an id"),
     ),
+    every="second",
 )
 STAMPS_CHANNEL = 51
 STAMPS = Topic(

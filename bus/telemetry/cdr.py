@@ -13,6 +13,7 @@ from typing import Final, Literal
 
 from bus.errors import ConfigError
 
+Rate = Literal["tick", "control", "diagnostic", "second"]
 Kind = Literal["float64", "uint64", "uint32", "int32", "uint8", "bool"]
 
 ENCAPSULATION: Final = b"\x00\x01\x00\x00"  # CDR, little endian
@@ -77,15 +78,17 @@ class Field:
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """A telemetry topic: one record of fixed layout per tick, stamped with the time of the tick.
+    """A telemetry topic: records of fixed layout, stamped with the time of their tick.
 
-    deterministic : equal from run to run for equal scenario and seed; only such topics enter the digest of a run.
+    deterministic : equal from run to run for equal scenario and seed; only such topics enter the digest of a run
+    every         : how often there is a record; `diagnostic` is the control period, unless it is shed
     """
 
     name: str
     schema_name: str
     fields: tuple[Field, ...]
     deterministic: bool = True
+    every: Rate = "tick"
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "fields", tuple(self.fields))

@@ -148,6 +148,7 @@ def announce_topics(
             "schema_name": FRAMES_SCHEMA,
             "schema": FRAMES_TEXT,
             "deterministic": True,
+            "every": "tick",
             "units": {},
         }
         for channel, bus in (frames or {}).items()
@@ -159,6 +160,7 @@ def announce_topics(
             "schema_name": INPUT_SCHEMA,
             "schema": INPUT_TEXT,
             "deterministic": True,
+            "every": "tick",
             "units": {},
         }
         for channel, topic in (inputs or {}).items()
@@ -171,6 +173,7 @@ def announce_topics(
                 "schema_name": topic.message_type,
                 "schema": topic.ros2msg(),
                 "deterministic": topic.deterministic,
+                "every": topic.every,
                 "units": {field.name: field.unit for field in topic.fields if field.unit},
             }
             for topic, channel in zip(packer.topics, packer.channels, strict=True)

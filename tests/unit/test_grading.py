@@ -110,18 +110,49 @@ def test_rms(log: Run) -> None:
     assert not judge(log, RmsEquals(check="rms_equals", value=0.8, tolerance=0.01, **window)).passed
 
 
-def test_a_number_that_is_none_fails_and_says_when(log: Run) -> None:
-    """NaN at 50 s."""
-    verdict = judge(log, Below(check="below", name="n", signal="slow.step.hole", bound=1.0))
-    assert not verdict.passed
-    assert "not a number at t = 50 s" in verdict.detail
+@pytest.mark.parametrize(
+    "signal",
+    [
+        "slow.step.hole",
+        "slow.step.hole ** 0",
+        "(slow.step.hole * 0 / 0) ** 0",
+        "1 ** slow.step.hole",
+        "1 / (1 / (slow.step.level - 1))",
+        "1 / ((1 + slow.step.level) * 1e200) ** 2",
+        "rate(slow.step.hole) ** 0",
+        "min(fast.all.pair * (slow.step.hole ** 0)) ** 0",
+    ],
+)
+def test_a_number_that_is_none_is_not_executed_however_it_is_hidden(log: Run, signal: str) -> None:
+    """NaN at 50 s, division by zero, overflow: floating point would make 1 or 0 of each of these."""
+    verdict = judge(log, Below(check="below", name="n", signal=signal, bound=9.0))
+    assert verdict.outcome == "not executed"
+    assert "not a number at t = " in verdict.detail
 
 
-def test_an_empty_window_and_a_missing_signal_fail(log: Run) -> None:
+def test_one_sample_neither_settles_nor_holds(log: Run) -> None:
+    """Nothing stays anywhere in a single sample; two can."""
+    for until_s, outcome in ((0.05, "not executed"), (0.15, "pass")):
+        assert judge(log, settles(20.0, by_s=1.0, until_s=until_s)).outcome == outcome
+        held = Below(check="below", name="h", signal="fast.all.decay", bound=20.0, by_s=0.0, until_s=until_s)
+        assert judge(log, held).outcome == outcome
+
+
+def test_a_margin_beyond_numbers_is_null_in_json(log: Run) -> None:
+    """1.5e308 from -1.5e308 is further than a float goes: the verdict stands, the figure is left out."""
+    item = Below(check="below", name="m", signal="fast.all.wave * 0 - 1.5e308", bound=1.5e308)
+    verdict = judge(log, item)
+    assert verdict.passed
+    assert verdict.as_dict()["margin"] is None
+    rms = judge(log, RmsBelow(check="rms_below", name="r", signal="fast.all.decay * 1e200", bound=1.0))
+    assert (rms.outcome, rms.as_dict()["value"]) == ("fail", None)
+
+
+def test_an_empty_window_and_a_missing_signal_are_not_executed(log: Run) -> None:
     """Neither is a pass by default; the near miss is named."""
     assert "no sample" in judge(log, Below(check="below", name="n", signal="fast.all.wave", bound=1, from_s=200)).detail
     verdict = judge(log, Below(check="below", name="n", signal="fast.all.wav", bound=1))
-    assert not verdict.passed
+    assert verdict.outcome == "not executed"
     assert "did you mean wave?" in verdict.detail
 
 
@@ -152,6 +183,14 @@ def test_expressions(log: Run) -> None:
         ("fast.all.pair[2]", "out of bounds"),
         ("fats.all.wave", "did you mean fast.all"),
         ("norm(2)", "needs a vector"),
+        ("fast.all.wave + " * 5000 + "1", "nested too deeply|not an expression"),
+        ("-" * 5000 + "fast.all.wave", "nested too deeply|not an expression"),
+        ("fast.all.wave * 1" + "0" * 400, "too large|too large to convert"),
+        ("fast.all.wave * 1j", "is not a number"),
+        ("fast.all.wave % 2", "only"),
+        ("exp(fast.all.wave)", "function exp is not known"),
+        ("fast.all.pair[99999999999999999999]", "fast.all.pair"),
+        ("fast.all.wave +", "not an expression"),
     ],
 )
 def test_wrong_expressions_say_why(log: Run, expression: str, word: str) -> None:

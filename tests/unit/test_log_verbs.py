@@ -102,7 +102,7 @@ def test_recover_leaves_a_whole_log_alone_and_never_overwrites_its_source(
     assert "nothing to recover" in capsys.readouterr().out
     assert not (tmp_path / "run.recovered.mcap").exists()
     path.write_bytes(path.read_bytes()[:-20])
-    with pytest.raises(UsageError, match="this is the log to recover"):
+    with pytest.raises(UsageError, match="this is the log that is read"):
         recover.recover(path, path)
     (tmp_path / "text").write_text("text")
     with pytest.raises(RecordError, match="not an MCAP file"):
@@ -120,7 +120,7 @@ def test_recover_tells_of_a_chunk_damaged_inside(tmp_path: Path, capsys: pytest.
     raw[summary.chunk_indexes[0].chunk_start_offset + 2000] ^= 0xFF
     path.write_bytes(raw)
     assert run_verb(recover, "recover", str(path)) == 3
-    assert "1 damaged chunks" in capsys.readouterr().out
+    assert "1 damaged chunk: " in capsys.readouterr().out
     assert 0 < len(read_run(tmp_path / "run.recovered.mcap").t_ns("/truth/x")) < 5000
 
 

@@ -22,9 +22,9 @@ from bus.telemetry.link import Field, Link, PackRows, Row, TickPacker, Topic, pa
 from tools.config.loader import load_scenario
 from tools.config.scenario_files import find_scenario
 from tools.log import mcap_writer
-from tools.log.layout import parse_layout
 from tools.log.message_index import DATA_AT, walk_messages
 from tools.log.recorder import Recorder
+from tools.log.topics import parse_layout
 from tools.run.bench import Bench
 
 Tick = tuple[int, int, int, bytes]  # source, tick, t_ns, records
@@ -71,7 +71,7 @@ def split(kept: list[Tick]) -> list[tuple[int, int, int, bytes]]:
     """Channel, sequence, log time, data of every message."""
     messages = []
     for _, tick, _, records in kept:
-        table, _ = walk_messages(records)
+        table = walk_messages(records).table
         for channel, t_ns, at, size in zip(*(column.tolist() for column in table), strict=True):
             messages.append((channel, tick, t_ns, records[at + DATA_AT : at + size]))
     return messages

@@ -1,12 +1,13 @@
 """Signal expressions over a log: `norm(truth.attitude.omega_bi_b_rad_s)` as one number per sample.
 
 The meaning is stated in tools/config/expect.py. Evaluated over a syntax tree with nothing but the listed node types.
+What is not a number stays none: every operation gives NaN where an operand or the result is not finite, also where the
+arithmetic of floating point would hide it, as in NaN ** 0 = 1 or 1 / infinity = 0.
 """
 
 from __future__ import annotations
 
 import ast
-import difflib
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,7 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.errors import ConfigError
+from bus.errors import ConfigError, RecordError
+from bus.words import nearest
 from tools.log.mcap_reader import Run
 
 Floats = NDArray[np.floating[Any]]
@@ -40,28 +42,61 @@ class Series:
 def evaluate(run: Run, expression: str) -> Series:
     """The signal that an expression describes, one number per sample.
 
-    Raises ConfigError where a topic or field is not in the log (with the near miss) or the result is a vector.
+    Raises ConfigError where a topic or field is not in the log (with the near miss), cannot be read, where the result is
+    a vector or the expression is none.
     """
-    tree = ast.parse(expression.strip(), mode="eval").body
     try:
-        series = _evaluate(run, tree)
-    except (ValueError, IndexError) as error:
-        raise ConfigError(f"signal {expression!r}: {error}") from None
+        series = _evaluate(run, _parse(expression))
+    except (ValueError, IndexError, OverflowError, TypeError) as error:
+        raise ConfigError(f"signal {_shorten(expression)}: {error}") from None
+    except RecordError as error:
+        raise ConfigError(str(error)) from None
+    except RecursionError:
+        raise ConfigError(f"signal {_shorten(expression)} is nested too deeply to be evaluated") from None
     if series.t_s is None:
-        raise ConfigError(f"signal {expression!r} names no logged signal, such as truth.attitude.error_deg")
+        raise ConfigError(f"signal {_shorten(expression)} names no logged signal, such as truth.attitude.error_deg")
     if series.values.ndim != 1:
         raise ConfigError(
-            f"signal {expression!r} is a vector of {series.values.shape[1]}; take an element, [0], or norm(...)"
+            f"signal {_shorten(expression)} is a vector of {series.values.shape[1]}; take an element, [0], or norm(...)"
         )
     return series
 
 
+def name_signals(expression: str) -> list[tuple[str, str]]:
+    """Topic and field of every signal that an expression names; none for what is no expression."""
+    try:
+        nodes = list(ast.walk(_parse(expression)))
+        inner = {id(node.value) for node in nodes if isinstance(node, ast.Attribute)}
+        names = [ast.unparse(n) for n in nodes if isinstance(n, ast.Attribute) and id(n) not in inner]
+    except (ValueError, RecursionError):
+        return []
+    return [_split(name) for name in dict.fromkeys(names)]
+
+
+def _parse(expression: str) -> ast.expr:
+    try:
+        return ast.parse(expression.strip(), mode="eval").body
+    except (SyntaxError, MemoryError, RecursionError) as error:
+        raise ValueError(f"is not an expression: {getattr(error, 'msg', error)}") from None
+
+
+def _shorten(expression: str) -> str:
+    return repr(expression if len(expression) <= 200 else expression[:197] + "...")
+
+
+def _split(name: str) -> tuple[str, str]:
+    topic, _, field = name.rpartition(".")
+    return "/" + topic.replace(".", "/"), field
+
+
 def _evaluate(run: Run, node: ast.expr) -> Series:
     if isinstance(node, ast.Constant):
+        if type(node.value) not in (int, float):
+            raise ValueError(f"{str(node.value)[:40]!r} is not a number")
         return Series(None, np.asarray(node.value, dtype=np.float64))
     if isinstance(node, ast.Attribute):
         return _look_up(run, ast.unparse(node))
-    if isinstance(node, ast.UnaryOp):
+    if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub | ast.UAdd):
         inner = _evaluate(run, node.operand)
         return Series(inner.t_s, -inner.values if isinstance(node.op, ast.USub) else inner.values)
     if isinstance(node, ast.BinOp):
@@ -70,24 +105,24 @@ def _evaluate(run: Run, node: ast.expr) -> Series:
         inner = _evaluate(run, node.value)
         if inner.values.ndim != 2:
             raise ValueError(f"{ast.unparse(node.value)} is not a vector")
-        assert isinstance(node.slice.value, int)  # the loader lets nothing else through
+        if type(node.slice.value) is not int:
+            raise ValueError("an index is a whole number")
         return Series(inner.t_s, inner.values[:, node.slice.value])
-    if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+    if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and len(node.args) == 1:
         return _call(node.func.id, _evaluate(run, node.args[0]))
-    raise ValueError(f"{ast.unparse(node)} is not allowed")
+    raise ValueError(f"{ast.unparse(node)[:60]} is not allowed")
 
 
 def _look_up(run: Run, name: str) -> Series:
-    topic, _, field = name.rpartition(".")
-    topic = "/" + topic.replace(".", "/")
+    topic, field = _split(name)
     if topic not in run.topics:
-        near = difflib.get_close_matches(topic, list(run.topics), 1)
-        hint = f"did you mean {near[0][1:].replace('/', '.')}? " if near else ""
+        near = nearest(topic, run.topics)
+        hint = f"did you mean {near[1:].replace('/', '.')}? " if near else ""
         raise ValueError(f"the log has no topic {topic}; {hint}there are: {', '.join(sorted(run.topics))}")
     signals = run.signals(topic)
     if field not in signals:
-        near = difflib.get_close_matches(field, list(signals), 1)
-        hint = f"did you mean {near[0]}? " if near else ""
+        near = nearest(field, signals)
+        hint = f"did you mean {near}? " if near else ""
         raise ValueError(f"{topic} has no field {field}; {hint}there are: {', '.join(signals)}")
     return Series(run.t_ns(topic) * 1e-9, np.asarray(signals[field], dtype=np.float64))
 
@@ -108,9 +143,19 @@ def _combine(op: ast.operator, left: Series, right: Series) -> Series:
                 values = a * b
             case ast.Div():
                 values = a / b
-            case _:
+            case ast.Pow():
                 values = a**b
-    return Series(t_s, values)
+            case _:
+                raise ValueError("only + - * / ** combine signals")
+    return Series(t_s, _none_of(values, a, b))
+
+
+def _none_of(values: Floats, *operands: Floats) -> Floats:
+    """The values, with NaN wherever one of them or of what they were made of is not finite."""
+    sound = np.isfinite(values)
+    for operand in operands:
+        sound = sound & np.isfinite(operand)
+    return values if np.all(sound) else np.where(sound, values, np.nan)
 
 
 def _align(left: Series, right: Series) -> tuple[Floats | None, Floats, Floats]:
@@ -129,25 +174,37 @@ def _align(left: Series, right: Series) -> tuple[Floats | None, Floats, Floats]:
 
 
 def _call(name: str, series: Series) -> Series:
+    with np.errstate(all="ignore"):
+        values = _apply(name, series)
+    operands = (series.values,) if values.shape == series.values.shape else ()
+    return Series(series.t_s, _none_of(values, *operands))
+
+
+def _apply(name: str, series: Series) -> Floats:
     values = series.values
     if name in ACROSS:
         if values.ndim != 2:
             raise ValueError(f"{name} needs a vector")
-        return Series(series.t_s, ACROSS[name](values))
-    if name == "rate":
-        if series.t_s is None:
-            raise ValueError("rate needs a signal")
-        change = np.diff(values, axis=0, prepend=values[:1])
-        step = np.diff(series.t_s, prepend=series.t_s[0] - 1.0)
-        return Series(series.t_s, change / (step if values.ndim == 1 else step[:, None]))
-    with np.errstate(all="ignore"):
-        match name:
-            case "abs":
-                values = np.abs(values)
-            case "sqrt":
-                values = np.sqrt(values)
-            case "deg":
-                values = values * (180.0 / math.pi)
-            case _:
-                values = values * (math.pi / 180.0)
-    return Series(series.t_s, values)
+        return ACROSS[name](_none_of(values))
+    match name:
+        case "rate":
+            if series.t_s is None:
+                raise ValueError("rate needs a signal")
+            if not series.t_s.size:
+                return values
+            change = np.diff(values, axis=0, prepend=values[:1])
+            step = np.diff(series.t_s, prepend=series.t_s[0] - 1.0)
+            return np.asarray(change / (step if values.ndim == 1 else step[:, None]))
+        case "abs":
+            return np.abs(values)
+        case "sqrt":
+            return np.sqrt(values)
+        case "deg":
+            return values * (180.0 / math.pi)
+        case "rad":
+            return values * (math.pi / 180.0)
+        case _:
+            raise ValueError(f"function {name[:40]} is not known; there are: {', '.join(FUNCTIONS)}")
+
+
+FUNCTIONS = (*ACROSS, "rate", "abs", "sqrt", "deg", "rad")

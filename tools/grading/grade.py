@@ -1,6 +1,7 @@
-"""Grades a log: every expectation of the scenario attached to it, and every fault that should have bitten.
+"""Grades a log: every expectation of the scenario attached to it, every fault that should have bitten, every tick.
 
-Everything comes from the MCAP file: the resolved scenario is an attachment, so a log can be graded anywhere, later.
+Everything comes from the MCAP file: the resolved scenario is an attachment, so a log can be graded anywhere, later, and
+nothing outside it is read. What the log lacks is never passed over: a requirement that needs it is not executed.
 """
 
 from __future__ import annotations
@@ -11,13 +12,18 @@ from pathlib import Path
 from typing import Any
 
 from bus.errors import RecordError
-from plant_server.faults import GYRO_AXES
 from tools.config.loader import load_text
 from tools.config.scenario import Resolved
-from tools.grading.judge import Verdict, judge
+from tools.grading.expressions import name_signals
+from tools.grading.faults import judge_faults
+from tools.grading.judge import judge
+from tools.grading.verdict import Outcome, Verdict, decide
+from tools.log.completeness import Completeness, Timetable, check_completeness
 from tools.log.mcap_reader import Run, read_run
 
 SCENARIO_ATTACHMENT = "scenario.yaml"
+WORDS: dict[Outcome, str] = {"pass": "PASS", "fail": "FAIL", "not executed": "NOT EXECUTED"}
+SHOWN = 3  # holes that a verdict names
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,16 +33,25 @@ class Grade:
     scenario: str
     verdicts: tuple[Verdict, ...]
     complete: bool  # the run went to its end
+    required: int  # requirements of the scenario itself: expectations and faults
+
+    @property
+    def outcome(self) -> Outcome:
+        """Pass when the run is complete, something was asked of it, and all of that was seen to hold."""
+        if not self.complete or any(verdict.outcome == "fail" for verdict in self.verdicts):
+            return "fail"
+        return "pass" if self.required and all(verdict.passed for verdict in self.verdicts) else "not executed"
 
     @property
     def passed(self) -> bool:
-        """True when the run is complete and nothing failed."""
-        return self.complete and all(verdict.passed for verdict in self.verdicts)
+        """True for a pass and nothing else."""
+        return self.outcome == "pass"
 
     def as_dict(self) -> dict[str, Any]:
         """In JSON types."""
         return {
             "scenario": self.scenario,
+            "outcome": self.outcome,
             "passed": self.passed,
             "complete": self.complete,
             "verdicts": [verdict.as_dict() for verdict in self.verdicts],
@@ -50,72 +65,102 @@ def grade_file(path: Path) -> Grade:
 
 
 def scenario_of(run: Run, path: Path) -> Resolved:
-    """The resolved scenario that a log carries. Raises RecordError when it carries none."""
-    text = run.attachments.get(SCENARIO_ATTACHMENT)
-    if text is None:
+    """The resolved scenario that a log carries, and nothing but what it carries.
+
+    Raises RecordError when it carries none, or a damaged one; ConfigError when it is not sound or refers to a file.
+    """
+    data = run.attachment(SCENARIO_ATTACHMENT)
+    if data is None:
         raise RecordError(
             f"{path}: no {SCENARIO_ATTACHMENT} is attached, so there is nothing to grade against; only logs written by "
             "`hilsat run` can be graded"
         )
-    return load_text(text.decode() if isinstance(text, bytes) else text, f"{path}:{SCENARIO_ATTACHMENT}")
+    name = f"{path}:{SCENARIO_ATTACHMENT}"
+    try:
+        text = data.decode()
+    except UnicodeDecodeError:
+        raise RecordError(f"{name}: the attached scenario is not UTF-8 text") from None
+    return load_text(text, name, files=False)
+
+
+def make_timetable(resolved: Resolved) -> Timetable:
+    """Which ticks a run of the scenario has."""
+    scenario = resolved.scenario
+    return Timetable(
+        resolved.ticks,
+        scenario.clock.tick_hz,
+        scenario.fsw.executive.control_divider,
+        scenario.clock.mode == "realtime",
+    )
 
 
 def grade_run(run: Run, resolved: Resolved) -> Grade:
     """The grade of an opened log."""
     scenario = resolved.scenario
-    verdicts = [judge(run, item) for item in scenario.expect]
-    fired = _fired(run)
-    for fault in scenario.faults:
-        due = round(fault.at_s * scenario.clock.tick_hz)
-        units = GYRO_AXES if fault.unit == "gyro" else (fault.unit,)
-        ticks = [
-            [tick for name, kind, tick in fired if (name, kind) == (unit, fault.kind) and abs(tick - due) <= 1]
-            for unit in units
-        ]
-        near = [found[0] for found in ticks if found]
-        detail = "" if near else "it is not in the log as having taken effect"
-        verdicts.append(
-            Verdict(
-                f"fault fired: {fault.unit} {fault.kind}",
-                len(near) == len(units),
-                near[0] / scenario.clock.tick_hz if near else None,
-                f"at {fault.at_s:g} s",
-                None,
-                "s",
-                detail,
-            )
-        )
-    return Grade(scenario.name, tuple(verdicts), _complete(run, resolved))
+    timetable = make_timetable(resolved)
+    _prefetch(run, [item.signal for item in scenario.expect])
+    faults = run.faults  # read before the damage is counted
+    completeness = check_completeness(run, timetable)
+    verdicts = [judge(run, item, completeness, timetable) for item in scenario.expect]
+    verdicts += judge_faults(faults, scenario.faults, completeness, timetable)
+    verdicts.append(_judge_completeness(completeness))
+    required = len(scenario.expect) + len(scenario.faults)
+    return Grade(scenario.name, tuple(verdicts), _complete(run, timetable), required)
 
 
-def _fired(run: Run) -> set[tuple[str, str, int]]:
-    return {(record["unit"], record["fault"], record["tick"]) for record in run.faults if record["phase"] == "onset"}
+def _prefetch(run: Run, expressions: list[str]) -> None:
+    """Read all signals that the expressions name in one pass; what cannot be read is left to each to say."""
+    wanted: dict[str, list[str]] = {}
+    for topic, field in [name for expression in expressions for name in name_signals(expression)]:
+        if topic in run.topics:
+            try:
+                if field in run.signals(topic):
+                    wanted.setdefault(topic, []).append(field)
+            except RecordError:
+                continue
+    try:
+        run.prefetch(wanted)
+    except RecordError:
+        return
 
 
-def _complete(run: Run, resolved: Resolved) -> bool:
+def _judge_completeness(completeness: Completeness) -> Verdict:
+    lines = completeness.describe()
+    rest = [f"and {len(lines) - SHOWN} more"] if len(lines) > SHOWN else []
+    missing = completeness.missing
+    detail = "; ".join(lines[:SHOWN] + rest)
+    outcome = decide(completeness.whole)
+    return Verdict("no tick is missing in the log", outcome, missing, "0 dropped ticks", -missing, "ticks", detail)
+
+
+def _complete(run: Run, timetable: Timetable) -> bool:
+    """Whether the truth goes to the last tick of the run."""
     topic = "/truth/attitude"
-    if topic not in run.topics:
-        return False
-    stamps = run.t_ns(topic)
-    last_ns = (resolved.ticks - 1) * (1_000_000_000 // resolved.scenario.clock.tick_hz)
-    return bool(stamps.size) and int(stamps[-1]) >= last_ns
+    ticks = run.ticks(topic) if run.has(topic) else None
+    return ticks is not None and int(ticks.max()) >= timetable.ticks - 1
 
 
 def format_grade(grade: Grade) -> str:
     """The grade as a table for people."""
     rows = []
+    width = max((len(WORDS[verdict.outcome]) for verdict in grade.verdicts), default=0)
     for verdict in grade.verdicts:
         value = "-" if verdict.value is None else f"{verdict.value:.4g}"
         margin = "" if verdict.margin is None else f"margin {verdict.margin:+.3g} {verdict.unit}"
-        words = "PASS" if verdict.passed else "FAIL"
         tail = f"  ({verdict.detail})" if verdict.detail and not verdict.passed else ""
-        rows.append(f"  {words}  {verdict.name:<44} {value:>10}   {verdict.bound:<44} {margin}{tail}")
+        word = f"{WORDS[verdict.outcome]:<{width}}"
+        rows.append(f"  {word}  {verdict.name:<44} {value:>10}   {verdict.bound:<44} {margin}{tail}")
     if not grade.complete:
         rows.append("  FAIL  the run did not go to its end")
     count = sum(verdict.passed for verdict in grade.verdicts)
-    word = "PASS" if grade.passed else "FAIL"
-    rows.append(f"{word}: {grade.scenario}, {count} of {len(grade.verdicts)} requirements met")
-    return "\n".join(rows)
+    tail = "" if grade.required else "; nothing was graded: the scenario expects nothing and has no faults"
+    rows.append(f"{WORDS[grade.outcome]}: {grade.scenario}, {count} of {len(grade.verdicts)} requirements met{tail}")
+    return "\n".join(map(_on_one_line, rows))
+
+
+def _on_one_line(text: str) -> str:
+    """The text with everything that would start a line of its own, or move the cursor, shown as ?."""
+    return "".join(letter if letter.isprintable() else "?" for letter in text)
 
 
 def to_json(grade: Grade) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -11,53 +10,94 @@ from numpy.typing import NDArray
 
 from bus.errors import ConfigError
 from tools.config.expect import Above, Below, Equals, Expectation, Holding, RmsBelow, RmsEquals, Settles, Within
-from tools.grading.expressions import evaluate
+from tools.grading.expressions import evaluate, name_signals
+from tools.grading.verdict import Verdict, decide
+from tools.log.completeness import Completeness, Timetable
 from tools.log.mcap_reader import Run
 
 Floats = NDArray[np.floating[Any]]
+FEWEST = 2  # samples from which something can be said to settle or to hold
 
 
-@dataclass(frozen=True, slots=True)
-class Verdict:
-    """What came of one requirement."""
+def judge(
+    run: Run, item: Expectation, completeness: Completeness | None = None, timetable: Timetable | None = None
+) -> Verdict:
+    """The verdict on one expectation.
 
-    name: str
-    passed: bool
-    value: float | None  # what was graded; None where it could not be
-    bound: str  # what it had to be, in words
-    margin: float | None  # distance to the bound, negative: failed
-    unit: str
-    detail: str = ""
-    source: str = ""
-
-    def as_dict(self) -> dict[str, Any]:
-        """In JSON types."""
-        return asdict(self)
-
-
-def judge(run: Run, item: Expectation) -> Verdict:
-    """The verdict on one expectation. A signal that is not in the log is a failure, not an exception."""
+    completeness, timetable : what the log lacks, and of which ticks; an expectation that needs a missing tick is not
+                              executed. Without them: the log is taken as it is.
+    A signal that is not in the log is not an exception: such an expectation is not executed either.
+    """
     try:
         series = evaluate(run, item.signal)
     except ConfigError as error:
-        return _failed(item, str(error))
+        return _unexecuted(item, str(error))
+    notes = ""
+    if completeness is not None and timetable is not None:
+        missing, notes = _list_missing(item, completeness, timetable)
+        if missing:
+            return _unexecuted(item, missing)
     assert series.t_s is not None
     until_s = math.inf if item.until_s is None else item.until_s
     inside = (series.t_s >= item.from_s - 1e-9) & (series.t_s <= until_s + 1e-9)
     t_s, values = series.t_s[inside], series.values[inside]
     if not t_s.size:
-        return _failed(item, f"no sample between {item.from_s:g} s and {until_s:g} s")
+        return _unexecuted(item, f"no sample between {item.from_s:g} s and {until_s:g} s")
     if not np.all(np.isfinite(values)):
-        return _failed(item, f"not a number at t = {t_s[~np.isfinite(values)][0]:g} s")
-    if isinstance(item, Settles):
-        return _judge_settling(item, t_s, values)
-    if isinstance(item, RmsBelow | RmsEquals):
-        return _judge_rms(item, values)
-    return _judge_holding(item, t_s, values)
+        return _unexecuted(item, f"not a number at t = {t_s[~np.isfinite(values)][0]:g} s")
+    if t_s.size < FEWEST and (isinstance(item, Settles) or _is_hold(item)):
+        return _unexecuted(item, f"one sample between {item.from_s:g} s and {until_s:g} s; it takes {FEWEST} or more")
+    with np.errstate(all="ignore"):
+        if isinstance(item, Settles):
+            verdict = _judge_settling(item, t_s, values)
+        elif isinstance(item, RmsBelow | RmsEquals):
+            verdict = _judge_rms(item, values)
+        else:
+            verdict = _judge_holding(item, t_s, values)
+    return _add_note(verdict, notes)
 
 
-def _failed(item: Expectation, detail: str) -> Verdict:
-    return Verdict(item.name, False, None, item.check, None, item.unit, detail, item.source)
+def _is_hold(item: Expectation) -> bool:
+    return isinstance(item, Below | Above | Within | Equals) and (item.by_s is not None or item.for_s is not None)
+
+
+def _list_missing(item: Expectation, completeness: Completeness, timetable: Timetable) -> tuple[str, str]:
+    """Which ticks that its window needs are missing, and which of them were not run, each in words or empty."""
+    topics = {topic for topic, _ in name_signals(item.signal)}
+    first = math.ceil(item.from_s * timetable.tick_hz - 1e-6)
+    last = timetable.ticks - 1
+    if item.until_s is not None:
+        last = min(last, math.floor(item.until_s * timetable.tick_hz + 1e-6))
+    near = [
+        gap for gap in completeness.gaps  # the value before the window counts too: for rates, and for slower topics
+        if gap.topic in topics and gap.last >= first - gap.step and gap.first <= last
+    ]  # fmt: skip
+    missing, skipped = (
+        Completeness(tuple(gap for gap in near if gap.ran is ran), ()).describe() for ran in (True, False)
+    )
+    words = [missing[0], f"and {len(missing) - 1} more holes"] if len(missing) > 1 else missing
+    count = sum((gap.last - gap.first) // gap.step + 1 for gap in near if not gap.ran)
+    return ", ".join(words), f"{count} records of its window were not made: {skipped[0]}" if skipped else ""
+
+
+def _add_note(verdict: Verdict, note: str) -> Verdict:
+    if not note:
+        return verdict
+    detail = f"{verdict.detail}; {note}" if verdict.detail else note
+    return Verdict(
+        verdict.name,
+        verdict.outcome,
+        verdict.value,
+        verdict.bound,
+        verdict.margin,
+        verdict.unit,
+        detail,
+        verdict.source,
+    )
+
+
+def _unexecuted(item: Expectation, detail: str) -> Verdict:
+    return Verdict(item.name, "not executed", None, item.check, None, item.unit, detail, item.source)
 
 
 def _judge_settling(item: Settles, t_s: Floats, values: Floats) -> Verdict:
@@ -75,10 +115,10 @@ def _judge_settling(item: Settles, t_s: Floats, values: Floats) -> Verdict:
         margins.append(settled_s - item.not_before_s)
     bound = f"within {item.bound:g} {item.unit} for good: " + ", ".join(words)
     if above.size and above[-1] == values.size - 1:
-        return Verdict(item.name, False, None, bound, None, "s", f"still {abs(values[-1]):g} at the end", item.source)
+        return Verdict(item.name, "fail", None, bound, None, "s", f"still {abs(values[-1]):g} at the end", item.source)
     margin = min(margins)
     # The stamps are multiples of the tick; a time compared with a bound in seconds needs room for rounding.
-    return Verdict(item.name, margin >= -1e-9, settled_s, bound, margin, "s", "", item.source)
+    return Verdict(item.name, decide(margin >= -1e-9), settled_s, bound, margin, "s", "", item.source)
 
 
 def _judge_rms(item: RmsBelow | RmsEquals, values: Floats) -> Verdict:
@@ -88,7 +128,8 @@ def _judge_rms(item: RmsBelow | RmsEquals, values: Floats) -> Verdict:
     else:
         margin = item.tolerance - abs(rms - item.value)
         bound = f"rms {item.value:g} +- {item.tolerance:g} {item.unit}"
-    return Verdict(item.name, margin >= 0, rms, bound, margin, item.unit, "", item.source)
+    detail = "" if math.isfinite(rms) else "the sum of squares is beyond what a number holds"
+    return Verdict(item.name, decide(margin >= 0), rms, bound, margin, item.unit, detail, item.source)
 
 
 def _slack(item: Holding, values: Floats) -> tuple[Floats, str]:
@@ -112,7 +153,9 @@ def _judge_holding(item: Holding, t_s: Floats, values: Floats) -> Verdict:
         worst = int(np.argmin(slack))
         margin = float(slack[worst])
         detail = f"at t = {t_s[worst]:g} s"
-        return Verdict(item.name, margin >= 0, float(values[worst]), bound, margin, item.unit, detail, item.source)
+        return Verdict(
+            item.name, decide(margin >= 0), float(values[worst]), bound, margin, item.unit, detail, item.source
+        )
     spells = _spells(slack >= 0, t_s)
     end_s = float(t_s[-1])
     for_s = item.for_s
@@ -125,12 +168,12 @@ def _judge_holding(item: Holding, t_s: Floats, values: Floats) -> Verdict:
         else:
             good = [start for start, stop in spells if stop - start >= for_s - 1e-9]
         if not good:
-            return Verdict(item.name, False, None, bound, None, "s", "the condition never held that long", item.source)
+            return Verdict(item.name, "fail", None, bound, None, "s", "the condition never held that long", item.source)
         margin = item.by_s - good[0]
-        return Verdict(item.name, margin >= -1e-9, good[0], bound, margin, "s", "", item.source)
+        return Verdict(item.name, decide(margin >= -1e-9), good[0], bound, margin, "s", "", item.source)
     longest = max((stop - start for start, stop in spells), default=0.0)
     margin = longest - (for_s or 0.0)
-    return Verdict(item.name, margin >= -1e-9 and bool(spells), longest, bound, margin, "s", "", item.source)
+    return Verdict(item.name, decide(margin >= -1e-9 and bool(spells)), longest, bound, margin, "s", "", item.source)
 
 
 def _spells(holds: NDArray[np.bool_], t_s: Floats) -> list[tuple[float, float]]:

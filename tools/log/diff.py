@@ -8,15 +8,20 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import itertools
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
+from bus.errors import RecordError
 from bus.telemetry.cdr import FRAMES_SCHEMA
-from tools.log.mcap_reader import FRAMES_AT, Run, read_run
+from tools.log.completeness import warn_of_missing
+from tools.log.mcap_reader import FRAMES_AT, LogRecord, Run, read_run
 from tools.log.message_index import DATA_AT
+
+LONGEST: Final = 256  # bytes of a record that are shown
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,11 +48,16 @@ class Comparison:
 
 
 def compare_runs(a: Run, b: Run) -> Comparison:
-    """Compare the deterministic content; `first` is the earliest difference in log time."""
+    """Compare the deterministic content; `first` is the earliest difference in log time.
+
+    Raises RecordError when neither has any: two logs that say nothing do not say the same.
+    """
+    names = {name: None for run in (a, b) for name, info in run.topics.items() if info.deterministic}
+    if not any(run.has(name) for run in (a, b) for name in names):
+        raise RecordError(f"{a.path} and {b.path}: neither has a message to compare; nothing was compared")
     digest_a, digest_b = a.digest(), b.digest()
     if digest_a == digest_b:
         return Comparison(True, digest_a, digest_b, (), None)
-    names = {name: None for run in (a, b) for name, info in run.topics.items() if info.deterministic}
     found = [difference for name in names if (difference := _compare_topic(a, b, name)) is not None]
     first = min(found, key=lambda difference: -1.0 if difference.t_s is None else difference.t_s, default=None)
     if first is None:
@@ -57,48 +67,47 @@ def compare_runs(a: Run, b: Run) -> Comparison:
 
 def _compare_topic(a: Run, b: Run, topic: str) -> Difference | None:
     """The first difference in one topic. A declared topic without messages counts as none."""
-    sides = [_list_records(run, topic) for run in (a, b)]
-    for index, (one, two) in enumerate(zip(*sides, strict=False)):
-        if one != two:
-            field, value_a, value_b = _find_field(a, b, topic, index, one, two)
-            return Difference(topic, a.sequences(topic)[index], one[0] * 1e-9, field, value_a, value_b)
-    counts = [len(side) for side in sides]
-    if counts[0] == counts[1]:
-        return None
-    shared = min(counts)
-    longer = a if counts[0] > shared else b
-    first_s = sides[counts.index(max(counts))][shared][0] * 1e-9
-    tick = longer.sequences(topic)[shared]
-    return Difference(topic, tick, first_s, "number of messages", counts[0], counts[1])
+    sides = [run.iterate(topic) if topic in run.topics else iter(()) for run in (a, b)]
+    for one, two in itertools.zip_longest(*sides):
+        if one is None or two is None:
+            counts = [run.count(topic) if topic in run.topics else 0 for run in (a, b)]
+            longer = two if one is None else one
+            return Difference(topic, longer.sequence, longer.t_ns * 1e-9, "number of messages", *counts)
+        if (one.t_ns, one.data) != (two.t_ns, two.data):
+            field, value_a, value_b = _find_field(a, b, topic, one, two)
+            return Difference(topic, one.sequence, one.t_ns * 1e-9, field, value_a, value_b)
+    return None
 
 
-def _list_records(run: Run, topic: str) -> list[tuple[int, bytes]]:
-    if topic not in run.topics:
-        return []
-    return list(zip(run.t_ns(topic).tolist(), run.payloads(topic), strict=True))
-
-
-def _find_field(
-    a: Run, b: Run, topic: str, index: int, one: tuple[int, bytes], two: tuple[int, bytes]
-) -> tuple[str, Any, Any]:
+def _find_field(a: Run, b: Run, topic: str, one: LogRecord, two: LogRecord) -> tuple[str, Any, Any]:
     """Name and values of what differs in one record."""
-    if one[0] != two[0]:
-        return "log time [ns]", one[0], two[0]
-    pairs: Iterator[tuple[str, Any, Any]]
-    if a.topics[topic].schema != b.topics[topic].schema:
-        return "schema", a.topics[topic].schema_name, b.topics[topic].schema_name
-    if a.topics[topic].schema_name == FRAMES_SCHEMA:
-        pairs = _pair_frames(one[1], two[1])
-    elif a.topics[topic].encoding == "cdr":
-        sides = (a.signals(topic), b.signals(topic))
-        pairs = ((name, sides[0][name][index].tolist(), sides[1][name][index].tolist()) for name in sides[0])
-    else:
-        objects = (json.loads(one[1]), json.loads(two[1]))
-        pairs = ((name, objects[0].get(name), objects[1].get(name)) for name in objects[0] | objects[1])
-    for name, value_a, value_b in pairs:
-        if json.dumps(value_a) != json.dumps(value_b):  # NaN equals NaN here, and -0.0 is not 0.0
-            return name, value_a, value_b
-    return "bytes", one[1].hex(), two[1].hex()
+    if one.t_ns != two.t_ns:
+        return "log time [ns]", one.t_ns, two.t_ns
+    infos = a.topics[topic], b.topics[topic]
+    if infos[0].schema != infos[1].schema:
+        return "schema", infos[0].schema_name, infos[1].schema_name
+    try:
+        if infos[0].schema_name == FRAMES_SCHEMA:
+            pairs = _pair_frames(one.data, two.data)
+        elif infos[0].encoding == "cdr":
+            objects = (a.decode(topic, one.data), b.decode(topic, two.data))
+            pairs = _pair_objects(*objects)
+        else:
+            pairs = _pair_objects(json.loads(one.data), json.loads(two.data))
+        for name, value_a, value_b in pairs:
+            if json.dumps(value_a) != json.dumps(value_b):  # NaN equals NaN here, and -0.0 is not 0.0
+                return name, value_a, value_b
+    except (RecordError, ValueError, TypeError, RecursionError):
+        pass  # not to be decoded: the bytes have to do
+    return "bytes", _shorten(one.data), _shorten(two.data)
+
+
+def _pair_objects(one: dict[str, Any], two: dict[str, Any]) -> Iterator[tuple[str, Any, Any]]:
+    return ((name, one.get(name), two.get(name)) for name in one | two)
+
+
+def _shorten(data: bytes) -> str:
+    return data[:LONGEST].hex() + ("..." if len(data) > LONGEST else "")
 
 
 def _pair_frames(one: bytes, two: bytes) -> Iterator[tuple[str, Any, Any]]:
@@ -123,8 +132,11 @@ def add_parser(subparsers: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Compare; exit code 0 when the logs say the same, 1 when they do not."""
-    result = compare_runs(read_run(args.a), read_run(args.b))
+    """Compare; exit code 0 when the logs say the same, 1 when they do not, 3 when they say nothing."""
+    runs = read_run(args.a), read_run(args.b)
+    for log in runs:
+        warn_of_missing(log, "diff")
+    result = compare_runs(*runs)
     if args.json:
         print(json.dumps(dataclasses.asdict(result)))
     else:

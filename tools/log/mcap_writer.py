@@ -76,14 +76,15 @@ def is_taken(path: Path | str) -> bool:
 
 
 class McapWriter:
-    """An MCAP file under construction, made new. What has been written is readable at any time, index or not.
+    """An MCAP file under construction. What has been written is readable at any time, index or not.
 
-    Raises RecordError when there is a file of that name, when it cannot be made or a write fails; the file then ends
-    with its last whole record.
+    replace : a file of that name may go
+    Raises RecordError when the file is there already, cannot be made or a write fails; it then ends with its last whole
+    record.
     """
 
-    def __init__(self, path: Path | str, *, compression: Compression = "zstd") -> None:
-        self._start(Path(path), "wb" if is_device(path) else "xb", compression)
+    def __init__(self, path: Path | str, *, compression: Compression = "zstd", replace: bool = False) -> None:
+        self._start(Path(path), "wb" if replace or is_device(path) else "xb", compression)
         self._put(MCAP_MAGIC, Header(profile="", library=LIBRARY))
 
     def _start(self, path: Path, mode: str, compression: Compression) -> None:
@@ -148,16 +149,18 @@ class McapWriter:
         return channel in self._channels
 
     def add_channel(
-        self, channel: int, topic: str, encoding: str, schema: tuple[str, str, str], metadata: Mapping[str, str]
+        self, channel: int, topic: str, encoding: str, schema: tuple[str, str, str | bytes], metadata: Mapping[str, str]
     ) -> None:
-        """Declare a channel before its first message. `schema`: name, encoding, text."""
+        """Declare a channel before its first message. `schema`: name, encoding, text (bytes for a binary one)."""
         if channel in self._channels:
             raise RecordError(f"channel {channel} is both {self._channels[channel].topic} and {topic}")
         name, schema_encoding, text = schema
-        data = text.encode()
+        data = text if isinstance(text, bytes) else text.encode()
         known = [s.id for s in self._schemas.values() if (s.name, s.encoding, s.data) == (name, schema_encoding, data)]
         if known:
             schema_id = known[0]
+        elif not (name or schema_encoding or data):
+            schema_id = 0  # which stands for none
         else:
             schema_id = len(self._schemas) + 1
             self._schemas[schema_id] = Schema(id=schema_id, name=name, encoding=schema_encoding, data=data)

@@ -7,6 +7,7 @@ the others against it, byte by byte of every record head, all at once; what does
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
@@ -19,7 +20,8 @@ Ints = NDArray[np.int64]
 Words = NDArray[np.uint64]
 Pairs = NDArray[np.uint64]  # one row a message: log time [ns], offset
 
-HEAD: Final = struct.Struct("<BQHIQ")  # opcode, length, channel, sequence, log_time
+HEAD: Final = struct.Struct("<BQHIq")  # opcode, length, channel, sequence, log_time
+INDEX_HEAD: Final = struct.Struct("<BQHI")  # opcode, length, channel, bytes of entries
 MESSAGE: Final = 0x05
 RECORD_HEAD: Final = 9  # opcode and length
 SIZE_AT, CHANNEL_AT, TIME_AT = 0, 7, 15  # eight bytes each: opcode and length; its end, channel, sequence; log time
@@ -32,34 +34,78 @@ class MessageTable(NamedTuple):
     """One row a message, in file order."""
 
     channel: Ints
-    log_time_ns: Ints
+    sequence: Ints
+    log_time_ns: Ints  # beyond the year 2262 these turn negative
     offset: Ints  # of the record's first byte
     size: Ints  # of the record, head included
 
+    def split(self) -> Iterator[tuple[int, Ints]]:
+        """Each channel with the rows of its messages."""
+        order = np.argsort(self.channel, kind="stable")
+        found, starts = np.unique(self.channel[order], return_index=True)
+        yield from zip(found.tolist(), np.split(order, starts[1:]), strict=False)
 
-EMPTY: Final = MessageTable(*(np.empty(0, np.int64),) * 4)
+
+EMPTY: Final = MessageTable(*(np.empty(0, np.int64),) * 5)
 
 
-def walk_messages(data: bytes, base: int = 0) -> tuple[MessageTable, int]:
-    """The messages in `data`, record by record, and how many bytes of it are whole records.
+class Walk(NamedTuple):
+    """What walking some bytes found."""
 
-    Records other than messages are stepped over. Offsets count from `base`.
-    """
-    rows: list[tuple[int, int, int, int]] = []
-    at, end, unpack = 0, len(data), HEAD.unpack_from
+    table: MessageTable
+    whole: int  # bytes that are whole records
+    short: int  # message records too short to be any
+    inner: tuple[tuple[int, bytes], ...]  # opcode and body of the records that are not messages
+
+
+def walk_messages(data: bytes, base: int = 0) -> Walk:
+    """The messages in `data`, record by record. Offsets count from `base`."""
+    rows: list[tuple[int, int, int, int, int]] = []
+    inner: list[tuple[int, bytes]] = []
+    at, end, short, unpack = 0, len(data), 0, HEAD.unpack_from
     while at + RECORD_HEAD <= end:
         size = RECORD_HEAD + int.from_bytes(data[at + 1 : at + RECORD_HEAD], "little")
         if at + size > end:
             break
-        if data[at] == MESSAGE:
-            if size < DATA_AT:
-                raise RecordError(f"message record of {size} bytes at {at}: it needs {DATA_AT} or more")
-            _, _, channel, _, log_time = unpack(data, at)
-            rows.append((channel, log_time, base + at, size))
+        if data[at] != MESSAGE:
+            inner.append((data[at], data[at + RECORD_HEAD : at + size]))
+        elif size < DATA_AT:
+            short += 1
+        else:
+            _, _, channel, sequence, log_time = unpack(data, at)
+            rows.append((channel, sequence, log_time, base + at, size))
         at += size
-    if not rows:
-        return EMPTY, at
-    return MessageTable(*np.array(rows, np.int64).T), at
+    table = MessageTable(*np.array(rows, np.int64).T) if rows else EMPTY
+    return Walk(table, at, short, tuple(inner))
+
+
+def read_indexes(data: bytes, indexes: bytes) -> MessageTable | None:
+    """The messages at the offsets that the MessageIndex records name; None when those do not cover `data` whole.
+
+    Only offsets are taken from the index, and only when the records there join up from the first byte to the last:
+    that is what walking would find. Channel, sequence and time are the message's own.
+    """
+    found, at = [], 0
+    while at < len(indexes):
+        if at + INDEX_HEAD.size > len(indexes):
+            return None
+        _, length, _, size = INDEX_HEAD.unpack_from(indexes, at)
+        start, end = at + INDEX_HEAD.size, at + RECORD_HEAD + length
+        if size % 16 or start + size > min(end, len(indexes)):
+            return None
+        found.append(np.frombuffer(indexes, "<i8", size // 8, start)[1::2])
+        at = end
+    offset = np.sort(np.concatenate(found)) if found else np.empty(0, np.int64)
+    size_of = np.diff(offset, append=len(data))
+    if not offset.size or offset[0] != 0 or (size_of < DATA_AT).any():
+        return None
+    words = _view_words(data)
+    middle = words[offset + CHANNEL_AT]
+    if (words[offset + 1].view("<i8") + RECORD_HEAD != size_of).any() or (words[offset] & 0xFF != MESSAGE).any():
+        return None
+    channel, sequence = (middle >> np.uint64(16)) & np.uint64(0xFFFF), middle >> np.uint64(32)
+    log_time = words[offset + TIME_AT].view("<i8")
+    return MessageTable(channel.astype(np.int64), sequence.astype(np.int64), log_time, offset, size_of)
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +197,9 @@ def _merge(found: dict[tuple[int, ...], list[Pairs]]) -> Located:
 
 
 def _walk_whole(part: bytes, start: int) -> MessageTable:
-    table, whole = walk_messages(part, start)
+    table, whole, short, _ = walk_messages(part, start)
+    if short:
+        raise RecordError(f"telemetry of {len(part)} bytes has message records of less than {DATA_AT} bytes")
     if whole != len(part):
         raise RecordError(f"telemetry of {len(part)} bytes ends inside a record, at byte {whole}")
     return table

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from bus.attitude import angle_between
 from bus.units import DEG, Vec4
-from tools.log.layout import parse_layout
 from tools.log.message_index import DATA_AT, Pairs
+from tools.log.topics import parse_layout
 
 TRUTH, FLIGHT = "/truth/attitude", "/fsw/attitude"
 BODY_AT: Final = DATA_AT + 4  # of a record: behind its head and the CDR encapsulation

@@ -119,6 +119,7 @@ class Recorder:
             for row in json.loads(topics_json):
                 metadata = {
                     "deterministic": "true" if row["deterministic"] else "false",
+                    "every": row["every"],
                     "units": json.dumps(row["units"]),
                     "source": str(source),
                 }

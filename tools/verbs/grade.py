@@ -1,4 +1,8 @@
-"""`hilsat grade LOG`: grade a log against the scenario it carries."""
+"""`hilsat grade LOG`: grade a log against the scenario it carries.
+
+Every requirement passes, fails or is not executed, because the log lacks what it takes to tell. Exit codes: 0 when all
+pass and something was asked; 1 when not, that is FAIL and NOT EXECUTED alike; 3 when the log cannot be graded at all.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +22,7 @@ def add_parser(subparsers: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the grade; return 0 for a pass, 1 for a fail."""
+    """Print the grade; return 0 for a pass, 1 for a fail and for what was not executed."""
     grade = grade_file(args.log)
     print(to_json(grade) if args.json else format_grade(grade))
     return 0 if grade.passed else 1
