@@ -274,9 +274,9 @@ def test_another_faults_effect_does_not_count() -> None:
 
 @pytest.mark.parametrize("form", ["extends: {0}\n", '{{"extends": {0}}}\n', "? extends\n: {0}\n", "'extends': {0}\n"])
 def test_nothing_outside_the_log_is_read(form: str, tmp_path: Path) -> None:
-    """An attached scenario that extends a file is refused before the file is opened, and none of it is quoted."""
+    """An attached scenario that extends a file, a sound one here, is refused and none of the file is quoted."""
     secret = tmp_path / "secret.yaml"
-    secret.write_text("name: not for the eyes of a log\n")
+    secret.write_text(scenario().to_yaml().replace("title:", "title: not for the eyes of a log\n#"))
     path = write_log(tmp_path / "a.mcap", scenario(), text=form.format(secret))
     with pytest.raises((RecordError, ConfigError)) as caught:
         grade_file(path)
