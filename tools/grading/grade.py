@@ -14,6 +14,7 @@ from typing import Any
 from bus.errors import RecordError
 from tools.config.loader import load_text
 from tools.config.scenario import Resolved
+from tools.grading.bus import judge_senders
 from tools.grading.expressions import name_signals
 from tools.grading.faults import judge_faults
 from tools.grading.judge import judge
@@ -103,7 +104,7 @@ def grade_run(run: Run, resolved: Resolved) -> Grade:
     completeness = check_completeness(run, timetable)
     verdicts = [judge(run, item, completeness, timetable) for item in scenario.expect]
     verdicts += judge_faults(faults, scenario.faults, completeness, timetable)
-    verdicts.append(_judge_completeness(completeness))
+    verdicts += [_judge_completeness(completeness), judge_senders(run)]
     required = len(scenario.expect) + len(scenario.faults)
     return Grade(scenario.name, tuple(verdicts), _complete(run, timetable), required)
 

@@ -105,7 +105,7 @@ def _sum_up(run: Run, resolved: Resolved, report: RunReport) -> dict[str, Any]:
                 settled = "not settled"
             figures[f"pointing error stays below {bound:g} deg"] = settled
         figures["final pointing error"] = f"{error_deg[-1]:.2g} deg"
-    figures["faults that took effect"] = sum(record["phase"] == "onset" for record in run.faults)
+    figures["faults that took effect"] = sum(record["phase"] == "effect" for record in run.faults)
     figures |= _sum_up_executive(run, resolved)
     figures |= _sum_up_bus(report)
     figures["digest of the run"] = run.digest()[:16]
