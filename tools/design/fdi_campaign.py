@@ -23,7 +23,6 @@ from typing import Any
 import numpy as np
 
 from fsw.gyro_fdi.classification import FaultKind
-from fsw.gyro_fdi.practical import PracticalDetector
 from plant_server.faults import make_fault
 from tools.design.fdi_flight import WHEEL_FAULTS, FlightSettings, Moment, fly, with_detector
 
@@ -58,7 +57,7 @@ class Watch:
             if state:
                 self.suspect_s[axis] = min(self.suspect_s[axis], t_s)
             self.suspect_ticks += state == 1
-        for wheel, alarm in enumerate(detection.wheel_alarm):
+        for wheel, alarm in enumerate(moment.wheel_alarm):
             if alarm and t_s < self.wheel_alarm_s[wheel]:
                 self.wheel_alarm_s[wheel] = t_s
         if t_s >= self.onset_s:
@@ -67,12 +66,12 @@ class Watch:
     def _grade(self, moment: Moment) -> None:
         for axis in self.axes:
             if moment.t_s > self.alarm_s[axis] + SETTLE_S:
-                error = moment.detection.fault_hat_b_rad_s[axis] - moment.gyro_fault_b_rad_s[axis]
+                error = moment.detection.fault_hat_b_rad_s[axis] - moment.truth.fault_b_rad_s[axis]
                 self.estimate_errors.append(error)
-        pair = zip(moment.tau_fault_hat_b_nm, moment.tau_fault_true_b_nm, strict=True)
+        pair = zip(moment.tau_fault_hat_b_nm, moment.truth.tau_fault_b_nm, strict=True)
         self.torque_errors.append(max(abs(a - b) for a, b in pair))
-        self.pointing_deg.append(moment.error_deg)
-        self.rates_deg_s.append(math.degrees(math.hypot(*moment.omega_true_b_rad_s)))
+        self.pointing_deg.append(moment.truth.error_deg)
+        self.rates_deg_s.append(math.degrees(math.hypot(*moment.truth.omega_bi_b_rad_s)))
 
     @property
     def delays_s(self) -> list[float]:
@@ -147,12 +146,11 @@ def judge_kind(base: FlightSettings, runs: int, amplitude: float, frequency: flo
             frequency_rad_s=frequency or None,
         )  # fmt: skip
         flight = vary(base, seed=base.seed + run, duration_s=onset_s + 32.0, faults=(*WHEEL_FAULTS, fault))
-        detector = fly(flight, lambda moment: None)
-        assert isinstance(detector, PracticalDetector)
-        found = detector.internals
-        right += found.fault_kind[axis] == wanted
-        size_errors.append(abs(found.fault_magnitude_rad_s[axis]) / amplitude - 1.0)
-        frequency_errors.append(found.fault_frequency_rad_s[axis] / frequency - 1.0 if frequency else 0.0)
+        bench = fly(flight, lambda moment: None)
+        right += bench.read("fsw.detector.fault_kind")[axis] == wanted
+        size_errors.append(abs(bench.read("fsw.detector.fault_magnitude_rad_s")[axis]) / amplitude - 1.0)
+        found_rad_s = bench.read("fsw.detector.fault_frequency_rad_s")[axis]
+        frequency_errors.append(found_rad_s / frequency - 1.0 if frequency else 0.0)
     return {
         "amplitude_rad_s": amplitude, "frequency_rad_s": frequency, "right": right, "runs": runs,
         "size_error_rms": rms(size_errors), "frequency_error_rms": rms(frequency_errors),
