@@ -186,9 +186,10 @@ def check_separation(base: FlightSettings, runs: int) -> dict[str, Any]:
 def measure_coupling(base: FlightSettings, amplitude: float, recovery: str) -> dict[str, Any]:
     """Return what a constant drift on three axes does to observer, pointing and rate, recovery on or off."""
     onset_s = 150.0
-    faults = tuple(make_fault(unit=unit, kind="constant", at_s=onset_s, rate_rad_s=amplitude) for unit in AXES)
-    chosen = (*WHEEL_FAULTS, *faults) if amplitude else WHEEL_FAULTS
-    settings = vary(base, duration_s=270.0, manoeuvre_every_s=0.0, published_start=True, faults=chosen)
+    at_fault = AXES if amplitude else ()
+    drift = tuple(make_fault(unit=unit, kind="constant", at_s=onset_s, rate_rad_s=amplitude) for unit in at_fault)
+    faults = (*WHEEL_FAULTS, *drift)
+    settings = vary(base, duration_s=270.0, manoeuvre_every_s=0.0, published_start=True, faults=faults)
     watch = Watch(onset_s, (0, 1, 2) if amplitude else ())
     fly(with_detector(settings, recovery=recovery), watch)
     return {
