@@ -5,6 +5,7 @@
     python -m tools.design.fdi_campaign kinds --runs 5
     python -m tools.design.fdi_campaign separation --runs 20
     python -m tools.design.fdi_campaign coupling [--amplitude 0.1 ...]
+    python -m tools.design.fdi_campaign rates --runs 10
 
 Every flight is a closed loop with misaligned wheels and a wrong inertia; all draws come from --seed. One JSON object
 with the figures goes to stdout, progress to stderr.
@@ -24,13 +25,15 @@ import numpy as np
 
 from fsw.gyro_fdi.classification import FaultKind
 from plant_server.faults import make_fault
-from tools.design.fdi_flight import WHEEL_FAULTS, FlightSettings, Moment, fly, with_detector
+from tools.design.fdi_flight import NEVER, WHEEL_FAULTS, FlightSettings, Moment, fly, with_detector
 
 AXES = ("gyro.x", "gyro.y", "gyro.z")
 ALARM = 2
 SETTLE_S = 2.0  # the estimate is graded from this long after the alarm
 AMPLITUDES = (0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001, 0.0005)
 KIND_CASES = ((0.1, 0.0), (0.001, 0.0), (0.05, 0.5), (0.05, 2.0), (0.05, 5.0), (0.01, 0.5))  # amplitude, frequency
+BLIND_FROM_S = 20.0
+RATES_DEG_S = (1.0, 2.0, 5.0, 10.0, 20.0, 25.0, 30.0, 40.0, 60.0)  # of the body at the start
 COUPLING_AMPLITUDES = (0.0, 0.001, 0.01, 0.1)
 
 
@@ -202,6 +205,28 @@ def measure_coupling(base: FlightSettings, amplitude: float, recovery: str) -> d
     }
 
 
+def count_accused(base: FlightSettings, runs: int, rate_deg_s: float, blind: bool) -> dict[str, Any]:
+    """Return how often a healthy gyro is accused in 120 s of flight that start at a rate about a random axis.
+
+    blind : the star tracker is lost after BLIND_FROM_S; else it sees throughout, whatever the rate
+    """
+    lost = (make_fault(unit="star_tracker", kind="dropout", at_s=BLIND_FROM_S),) if blind else ()
+    accused, soonest_s, suspect_ticks = 0, math.inf, 0
+    for run in range(runs):
+        axis = np.random.default_rng([base.seed, run, 5]).normal(size=3)
+        x, y, z = (rate_deg_s / np.linalg.norm(axis) * axis).tolist()
+        watch = Watch(math.inf, ())
+        start = vary(base, seed=base.seed + run, duration_s=120.0, start_rate_deg_s=(x, y, z), faults=lost)
+        fly(vary(start, star_max_rate_deg_s=NEVER), watch)
+        accused += min(watch.alarm_s) < math.inf
+        soonest_s = min(soonest_s, *watch.alarm_s)
+        suspect_ticks += watch.suspect_ticks
+    return {
+        "rate_deg_s": rate_deg_s, "tracker": f"lost at {BLIND_FROM_S:g} s" if blind else "sees", "runs": runs, "accused": accused,
+        "soonest_s": soonest_s if math.isfinite(soonest_s) else None, "suspect_ticks": suspect_ticks,
+    }  # fmt: skip
+
+
 def vary(base: FlightSettings, **changes: object) -> FlightSettings:
     """Return a flight with some settings changed."""
     values = {name: getattr(base, name) for name in base.__slots__}
@@ -221,7 +246,7 @@ def report(text: str) -> None:
 def main(arguments: list[str] | None = None) -> int:
     """Run one campaign and print its figures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("false-alarms", "delays", "kinds", "separation", "coupling"))
+    parser.add_argument("what", choices=("false-alarms", "delays", "kinds", "separation", "coupling", "rates"))
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--hours", type=float, default=1.0, help="length of each false-alarm flight")
     parser.add_argument("--seed", type=int, default=1)
@@ -245,6 +270,8 @@ def run_campaign(options: argparse.Namespace, base: FlightSettings) -> Any:
         return [judge_kind(base, options.runs, *case) for case in KIND_CASES]
     if options.what == "separation":
         return check_separation(base, options.runs)
+    if options.what == "rates":
+        return [count_accused(base, options.runs, rate, blind) for blind in (False, True) for rate in RATES_DEG_S]
     out = []
     if options.what == "coupling":
         for amplitude in options.amplitude or COUPLING_AMPLITUDES:

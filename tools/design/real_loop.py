@@ -8,12 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from bus.attitude import angle_between, normalise
-from bus.units import DEG
-from plant_server.plant import Plant
-from plant_server.truth import Truth
-from tools.config.loader import load_scenario
-from tools.config.scenario_files import find_scenario
 from tools.run.bench import Bench
 
 LIMITS_DEG = (5.0, 1.0, 0.1, 0.01)
@@ -38,21 +32,18 @@ CASES: dict[str, tuple[str, list[str]]] = {
 
 def measure(scenario: str, overrides: list[str]) -> tuple[list[float | None], float]:
     """Settling time for each limit [s], None where it does not settle; rms fault-torque error after 50 s [N m]."""
-    resolved = load_scenario(find_scenario(scenario), [*overrides, "expect=[]"])
-    bench = Bench(resolved)
-    tick_s, target = 1.0 / resolved.scenario.clock.tick_hz, normalise(resolved.scenario.fsw.target_q)
+    bench = Bench.open(scenario, [*overrides, "expect=[]"])
     errors, torque_errors = [], []
-    for _ in range(resolved.ticks):
-        bench.run(1)
-        truth = Truth.from_flat(Plant.flatten(bench.node.channel.snapshot))
-        errors.append(angle_between(target, truth.q_ib) / DEG)
+    while bench.tick < bench.ticks:
+        truth = bench.step().sampled_truth
+        errors.append(truth.error_deg)
         torque_errors.append(np.subtract(bench.flight.tau_fault_hat_b_nm, truth.tau_fault_b_nm))
     error = np.array(errors)
     settled: list[float | None] = []
     for limit in LIMITS_DEG:
         above = np.flatnonzero(error > limit)
-        settled.append(None if above[-1] == error.size - 1 else float(above[-1]) * tick_s)
-    late = np.array(torque_errors)[round(50 / tick_s) :]
+        settled.append(None if above[-1] == error.size - 1 else float(above[-1]) * bench.tick_s)
+    late = np.array(torque_errors)[round(50 / bench.tick_s) :]
     return settled, float(np.sqrt(np.mean(np.sum(late * late, axis=1))))
 
 
