@@ -26,6 +26,7 @@ from fsw.vehicle import ModelConfig
 from fsw.wheel_health.none import NoWheelHealthConfig
 from plant_server import faults as plant_faults
 from plant_server.config import BodyConfig, GyroConfig, PlantConfig, StarTrackerConfig, WheelConfig
+from plant_server.wheels.axes import Mount, true_axis
 from tools.config.scenario import Resolved, Scenario
 from tools.run.bench import Bench
 
@@ -36,7 +37,7 @@ BOUNDS_DEG = (5.0, 1.0, 0.1)
 QUIET_S = 15.0  # settled: the error has stayed below the bound this long and to the end of the run
 UNTIL_S = 300.0
 NEVER = 1e6  # deg/s, s: the laws are judged, so no mode but pointing is ever entered
-_MOUNTS = ("x", "y", "z", "skew")
+_MOUNTS: tuple[Mount, Mount, Mount, Mount] = ("x", "y", "z", "skew")
 _PLANT_KINDS = {"loss": "loss", "stuck": "stuck_torque", "dead": "dead"}
 
 
@@ -146,7 +147,7 @@ def _make_plant(case: Case, conditions: Conditions, inertia: Mat3) -> PlantConfi
     x, y, z = case.omega0_rad_s
     a, b, c, d = (
         WheelConfig(
-            mount=mount, tilt_deg=tilt, clock_deg=clock,  # type: ignore[arg-type]
+            mount=mount, tilt_deg=tilt, clock_deg=clock,
             inertia_kgm2=scale * ROTOR_KGM2, max_torque_nm=scale * WHEEL_TORQUE_NM,
         )
         for mount, tilt, clock in zip(_MOUNTS, case.tilt_deg, case.clock_deg, strict=True)
@@ -226,15 +227,9 @@ def _draw_fault(r: np.random.Generator, wheel: int, kind: str) -> Fault:
 
 
 def find_axes(case: Case) -> tuple[Vec4, Vec4, Vec4]:
-    """Return D, columns the true spin axes, of the paper's exact form with its misprint in d2 put right."""
-    a, b = np.array(case.tilt_deg) * DEG, np.array(case.clock_deg) * DEG
-    c, s = np.cos, np.sin
-    lift, turn = math.asin(1.0 / math.sqrt(3.0)) + a[3], math.pi / 4.0 + b[3]
-    columns = (
-        (c(a[0]), s(a[0]) * c(b[0]), s(a[0]) * s(b[0])),
-        (s(a[1]) * c(b[1]), c(a[1]), s(a[1]) * s(b[1])),
-        (s(a[2]) * c(b[2]), s(a[2]) * s(b[2]), c(a[2])),
-        (c(lift) * c(turn), c(lift) * s(turn), s(lift)),
+    """Return D, shape (3, 4), columns the true spin axes in body axes."""
+    a, b, c, d = (
+        true_axis(mount, tilt, clock)
+        for mount, tilt, clock in zip(_MOUNTS, case.tilt_deg, case.clock_deg, strict=True)
     )
-    rows = np.array(columns).T.tolist()
-    return (tuple(rows[0]), tuple(rows[1]), tuple(rows[2]))
+    return ((a[0], b[0], c[0], d[0]), (a[1], b[1], c[1], d[1]), (a[2], b[2], c[2], d[2]))
