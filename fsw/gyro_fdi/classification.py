@@ -96,9 +96,7 @@ class Classifier:
             self._sum, self._count = 0.0, 0
             if self._work is None and len(self._samples) >= self._first << self._look:
                 blocks = max(1, round(len(self._samples) / _MAX_SAMPLES))
-                self._work = judge(
-                    average_blocks(self._samples, blocks), blocks * self._sample_s, self._healthy_rad_s
-                )
+                self._work = judge(average_blocks(self._samples, blocks), blocks * self._sample_s, self._healthy_rad_s)
 
     def _advance(self) -> None:
         work = self._work

@@ -24,13 +24,20 @@ from tools.config.scenario import Resolved
 from tools.design import fdi_campaign
 from tools.design.fdi_campaign import Watch, vary
 from tools.design.fdi_flight import (
-    INERTIA_KGM2, WHEEL_FAULTS, FlightSettings, Moment, fly, make_scenario, with_detector,
+    INERTIA_KGM2,
+    WHEEL_FAULTS,
+    FlightSettings,
+    Moment,
+    fly,
+    make_scenario,
+    with_detector,
 )  # fmt: skip
 from tools.run.bench import Bench
 
 ONSET_S = 60.0
 BASE = FlightSettings(seed=1, duration_s=100.0)
 ALARM = 2
+slow = pytest.mark.slow
 
 
 def drift(unit: str, rate_rad_s: float, **more: Any) -> Fault:
@@ -71,7 +78,15 @@ def test_gyro_faults_raise_no_wheel_alarm() -> None:
         assert min(watch.wheel_alarm_s) == math.inf
 
 
-@pytest.mark.parametrize(("amplitude", "limit_s"), [(0.1, 0.35), (0.01, 2.0), (0.001, 8.0), (0.0005, 30.0)])
+@pytest.mark.parametrize(
+    ("amplitude", "limit_s"),
+    [
+        (0.01, 2.0),
+        pytest.param(0.1, 0.35, marks=slow),
+        pytest.param(0.001, 8.0, marks=slow),
+        pytest.param(0.0005, 30.0, marks=slow),
+    ],
+)
 def test_delays_on_three_axes(amplitude: float, limit_s: float) -> None:
     """Drift on all axes with wheel faults: found in time, none missed, none before onset."""
     found = fdi_campaign.measure_delays(BASE, 3, amplitude, True, limit_s + 5.0)
@@ -80,6 +95,7 @@ def test_delays_on_three_axes(amplitude: float, limit_s: float) -> None:
     assert found["estimate_rmse_rad_s"] <= 2e-4
 
 
+@slow
 def test_recovery_keeps_the_satellite_and_its_absence_loses_it() -> None:
     """0.1 rad/s on three axes: torque error <= 0.05 N m and pointing unmoved with recovery, a tumble without."""
     kept, lost = (fdi_campaign.measure_coupling(BASE, 0.1, recovery) for recovery in ("on", "off"))
@@ -104,7 +120,7 @@ def test_a_healed_axis_is_used_again() -> None:
     assert np.sqrt(np.mean(np.square(errors))) < 2e-4
 
 
-@pytest.mark.parametrize("rate_hz", [20, 100])
+@pytest.mark.parametrize("rate_hz", [20, pytest.param(100, marks=slow)])
 def test_a_dead_axis_is_replaced_at_once(rate_hz: int) -> None:
     """No frames from one axis: replaced as soon as the inputs say so, attitude and rate stay right and valid."""
     dead = make_fault(unit="gyro.z", kind="dead", at_s=ONSET_S)
@@ -144,7 +160,14 @@ def test_without_stars_the_observer_finds_the_drift() -> None:
         assert watch.wrong_axes == 0
 
 
-@pytest.mark.parametrize(("rate_hz", "star_hz", "latency_s"), [(10, 5, 0.1), (50, 5, 0.0), (100, 4, 0.06)])
+@pytest.mark.parametrize(
+    ("rate_hz", "star_hz", "latency_s"),
+    [
+        (10, 5, 0.1),
+        pytest.param(50, 5, 0.0, marks=slow),
+        pytest.param(100, 4, 0.06, marks=slow),
+    ],
+)
 def test_other_rates_and_late_frames(rate_hz: int, star_hz: int, latency_s: float) -> None:
     """10 to 100 Hz, late star-tracker frames between detection cycles: quiet before, found after, right axis."""
     faults = (*WHEEL_FAULTS, drift("gyro.z", -0.02))
@@ -155,6 +178,7 @@ def test_other_rates_and_late_frames(rate_hz: int, star_hz: int, latency_s: floa
     assert np.sqrt(np.mean(np.square(watch.estimate_errors))) < 2e-4
 
 
+@slow
 def test_kind_within_the_spec_of_a_strong_sinusoid() -> None:
     """0.05 sin 0.5 t: periodic, frequency within 0.2 %, amplitude within 0.5 %, three seeds out of three."""
     settings = vary(BASE, duration_s=0.0)
@@ -175,6 +199,7 @@ def test_campaign_repeats(capsys: pytest.CaptureFixture[str]) -> None:
     assert json.loads(texts[0])[0]["missed"] == 0
 
 
+@slow
 @pytest.mark.parametrize("fog", ["tactical", "space"])
 def test_no_false_alarm_in_a_quarter_of_an_hour(fog: str) -> None:
     """Healthy gyro, with and without wheel faults, manoeuvring: nothing is found, nothing is suspect."""
@@ -183,7 +208,7 @@ def test_no_false_alarm_in_a_quarter_of_an_hour(fog: str) -> None:
     assert found["gyro_alarms"] == found["suspect_ticks"] == 0
 
 
-@pytest.mark.slow
+@slow
 @pytest.mark.parametrize("fog", ["tactical", "space"])
 def test_no_false_alarm_in_five_hours(fog: str) -> None:
     """Five seeds of one hour each without a single alarm."""
@@ -224,7 +249,7 @@ def test_what_is_healthy_is_a_setting() -> None:
         assert (bench.read("fsw.detector.alarm_t_s")[0] >= 0.0) == expected
 
 
-@pytest.mark.slow
+@slow
 @pytest.mark.parametrize(
     "fault",
     [

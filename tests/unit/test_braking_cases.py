@@ -77,7 +77,7 @@ def fly_published() -> dict[float, float | None]:
 
 @pytest.mark.slow
 def test_adaptive_profile_beats_the_fixed_one_over_the_fresh_cases() -> None:
-    """Cases drawn after the settings were fixed: lower mean ratio than the fixed margin, all settle; given ones below 1.3."""
+    """Cases drawn after the settings were fixed: a lower mean ratio than the fixed margin, and all settle."""
     cases = read_cases()
     fresh = [case for case in cases if case.id.startswith("random") and int(case.id.split("-")[1]) >= FIRST_FRESH]
     adaptive, fixed = (find_ratios(LAWS[name], fresh, Conditions()) for name in ("adaptive", "fixed"))

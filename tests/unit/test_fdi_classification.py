@@ -38,7 +38,10 @@ def test_spikes_are_never_called_constant(rate_rad_s: float, probability: float)
     for seed in range(RUNS):
         rng = np.random.default_rng(seed)
         hit, sign = rng.random(FOUR_LOOKS) < probability, rng.choice([-1.0, 1.0], FOUR_LOOKS)
-        assert classify(WHITE_RAD_S * rng.normal(size=FOUR_LOOKS) + rate_rad_s * hit * sign).verdict.kind == FaultKind.OTHER
+        assert (
+            classify(WHITE_RAD_S * rng.normal(size=FOUR_LOOKS) + rate_rad_s * hit * sign).verdict.kind
+            == FaultKind.OTHER
+        )
 
 
 def test_drop_outs_are_never_called_constant() -> None:

@@ -38,6 +38,9 @@ QUIET_S = 15.0  # settled: the error has stayed below the bound this long and to
 UNTIL_S = 300.0
 NEVER = 1e6  # deg/s, s: the laws are judged, so no mode but pointing is ever entered
 _MOUNTS: tuple[Mount, Mount, Mount, Mount] = ("x", "y", "z", "skew")
+ILO = IloConfig(kind="ilo")
+NO_HEALTH = NoWheelHealthConfig(kind="none")
+PSEUDO_INVERSE = PseudoInverseConfig(kind="pseudo_inverse")
 _PLANT_KINDS = {"loss": "loss", "stuck": "stuck_torque", "dead": "dead"}
 
 
@@ -84,9 +87,9 @@ class Law:
     """The flight algorithms that close the loop. An ILO's gains are scaled to the control period."""
 
     controller: ControllerConfig
-    observer: ObserverConfig = IloConfig(kind="ilo")
-    wheel_health: WheelHealthConfig = NoWheelHealthConfig(kind="none")
-    allocator: AllocatorConfig = PseudoInverseConfig(kind="pseudo_inverse")
+    observer: ObserverConfig = ILO
+    wheel_health: WheelHealthConfig = NO_HEALTH
+    allocator: AllocatorConfig = PSEUDO_INVERSE
 
 
 def fly(case: Case, law: Law, conditions: Conditions) -> dict[float, float | None]:
@@ -229,7 +232,6 @@ def _draw_fault(r: np.random.Generator, wheel: int, kind: str) -> Fault:
 def find_axes(case: Case) -> tuple[Vec4, Vec4, Vec4]:
     """Return D, shape (3, 4), columns the true spin axes in body axes."""
     a, b, c, d = (
-        true_axis(mount, tilt, clock)
-        for mount, tilt, clock in zip(_MOUNTS, case.tilt_deg, case.clock_deg, strict=True)
+        true_axis(mount, tilt, clock) for mount, tilt, clock in zip(_MOUNTS, case.tilt_deg, case.clock_deg, strict=True)
     )
     return ((a[0], b[0], c[0], d[0]), (a[1], b[1], c[1], d[1]), (a[2], b[2], c[2], d[2]))

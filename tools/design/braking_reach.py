@@ -44,7 +44,9 @@ def make_starts(base: Case, angle_deg: float, rate_deg_s: float, faults: bool) -
     ]  # fmt: skip
 
 
-def find_settling(law: Law, base: Case, angle_deg: float, rate_deg_s: float, conditions: Conditions, faults: bool) -> str:
+def find_settling(
+    law: Law, base: Case, angle_deg: float, rate_deg_s: float, conditions: Conditions, faults: bool
+) -> str:
     """Return the longest settling time of the starts at this angle and rate [s] as a table cell; "-": not settled."""
     longest = 0.0
     for case in make_starts(base, angle_deg, rate_deg_s, faults):

@@ -59,9 +59,7 @@ Ratio = float | None  # None: not settled
 def find_ratios(law: Law, cases: Sequence[Case], conditions: Conditions) -> list[Ratio]:
     """Return settling time to 1 degree over the optimum, case by case; None where it has not settled."""
     settled = (fly(case, law, conditions)[BOUND_DEG] for case in cases)
-    return [
-        None if time_s is None else time_s / case.optimum_s for case, time_s in zip(cases, settled, strict=True)
-    ]
+    return [None if time_s is None else time_s / case.optimum_s for case, time_s in zip(cases, settled, strict=True)]
 
 
 def summarise(name: str, cases: Sequence[Case], ratios: Sequence[Ratio], until_s: float = UNTIL_S) -> str:

@@ -222,8 +222,8 @@ def count_accused(base: FlightSettings, runs: int, rate_deg_s: float, blind: boo
         soonest_s = min(soonest_s, *watch.alarm_s)
         suspect_ticks += watch.suspect_ticks
     return {
-        "rate_deg_s": rate_deg_s, "tracker": f"lost at {BLIND_FROM_S:g} s" if blind else "sees", "runs": runs, "accused": accused,
-        "soonest_s": soonest_s if math.isfinite(soonest_s) else None, "suspect_ticks": suspect_ticks,
+        "rate_deg_s": rate_deg_s, "tracker": f"lost at {BLIND_FROM_S:g} s" if blind else "sees",
+        "runs": runs, "accused": accused, "soonest_s": soonest_s if math.isfinite(soonest_s) else None, "suspect_ticks": suspect_ticks,
     }  # fmt: skip
 
 
