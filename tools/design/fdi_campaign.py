@@ -223,7 +223,8 @@ def count_accused(base: FlightSettings, runs: int, rate_deg_s: float, blind: boo
         suspect_ticks += watch.suspect_ticks
     return {
         "rate_deg_s": rate_deg_s, "tracker": f"lost at {BLIND_FROM_S:g} s" if blind else "sees",
-        "runs": runs, "accused": accused, "soonest_s": soonest_s if math.isfinite(soonest_s) else None, "suspect_ticks": suspect_ticks,
+        "runs": runs, "accused": accused, "suspect_ticks": suspect_ticks,
+        "soonest_s": soonest_s if math.isfinite(soonest_s) else None,
     }  # fmt: skip
 
 

@@ -27,6 +27,14 @@ CASES: dict[str, tuple[str, list[str]]] = {
     "gyro noise, tactical grade": ("zhang2018", ["plant.gyro.preset=tactical"]),
     "star tracker noise 10, 10, 52 arcsec": ("zhang2018", ["plant.star_tracker.noise_arcsec=[10, 10, 52]"]),
     "all of it, filtered, at 100 Hz (zhang2018-flight)": ("zhang2018-flight", []),
+    "all of it with a tactical gyro": (
+        "zhang2018-flight",
+        [
+            "plant.gyro.preset=tactical",
+            "fsw.estimator.gyro_arw_rad_sqrt_s=2.91e-5",
+            "fsw.estimator.gyro_rrw_rad_s_sqrt_s=1e-7",
+        ],
+    ),
 }
 
 
