@@ -1,7 +1,8 @@
 """Kind of a gyro fault, its magnitude and frequency, from the fault estimate after the alarm.
 
-A constant is compared with a constant plus one sinusoid by least squares. The work of one look is spread over many
-cycles, so that no cycle is long.
+A constant is compared with a constant plus one sinusoid by least squares. Constant is only what stands out: from its own
+scatter, which noise, spikes and drop-outs do not, and from the drift that a healthy axis may have. The work of one look is
+spread over many cycles, so that no cycle is long.
 """
 
 from __future__ import annotations
@@ -22,6 +23,9 @@ _MIN_AMPLITUDE_RAD_S, _MIN_AMPLITUDE_OF_MEAN = 5e-4, 0.05
 _MIN_R2, _MIN_BIC_GAIN = 0.5, 10.0
 _MIN_TURN_RAD = 0.8 * 2.0 * math.pi  # less of a period than this tells no frequency
 _SCATTER_OF_CONSTANT, _QUIET_SCATTER_RAD_S = 0.3, 6e-4
+# A constant is at least so many times its scatter about it. Ten standard errors of 100 samples: their errors hang
+# together (the gyro-less rate is filtered over seconds), and a bias learnt from noise before the alarm is in the mean.
+_STANDS_OUT = 1.0
 
 
 class FaultKind(IntEnum):
@@ -56,8 +60,14 @@ class _Fit(NamedTuple):
 class Classifier:
     """Collects the fault estimate of one axis from the alarm on and looks at it when there is enough of it."""
 
-    def __init__(self, cycle_s: float, first_window_s: float) -> None:
-        """cycle_s: period between calls of `add` [s]; first_window_s: how long to look before the first verdict."""
+    def __init__(self, cycle_s: float, first_window_s: float, healthy_rad_s: float = 0.0) -> None:
+        """Wait for the first alarm.
+
+        cycle_s        : period between calls of `add` [s]
+        first_window_s : how long to look before the first verdict [s]
+        healthy_rad_s  : drift that a healthy axis may have [rad/s]; a constant is more
+        """
+        self._healthy_rad_s = healthy_rad_s
         self._per_sample = max(1, round(_SAMPLE_S / cycle_s))
         self._sample_s = self._per_sample * cycle_s
         self._first = max(16, round(first_window_s / self._sample_s))
@@ -86,7 +96,7 @@ class Classifier:
             self._sum, self._count = 0.0, 0
             if self._work is None and len(self._samples) >= self._first << self._look:
                 blocks = max(1, round(len(self._samples) / _MAX_SAMPLES))
-                self._work = judge(average_blocks(self._samples, blocks), blocks * self._sample_s)
+                self._work = judge(average_blocks(self._samples, blocks), blocks * self._sample_s, self._healthy_rad_s)
 
     def _advance(self) -> None:
         work = self._work
@@ -106,10 +116,10 @@ def average_blocks(samples: list[float], size: int) -> list[float]:
     return [sum(samples[i : i + size]) / size for i in range(0, whole, size)]
 
 
-def judge(samples: list[float], sample_s: float) -> Generator[None, None, Verdict]:
+def judge(samples: list[float], sample_s: float, healthy_rad_s: float) -> Generator[None, None, Verdict]:
     """Return (at the end of the generator) the verdict on samples [rad/s], each a mean over sample_s [s].
 
-    Each step of the generator tries one frequency.
+    Each step of the generator tries one frequency. A drift up to healthy_rad_s is no fault.
     """
     n, duration = len(samples), len(samples) * sample_s
     mean = sum(samples) / n
@@ -133,10 +143,10 @@ def judge(samples: list[float], sample_s: float) -> Generator[None, None, Verdic
             low = left
         best = min(best, first, second, key=lambda fit: fit.sse)
         yield
-    return _decide(best, mean, scatter, n, sample_s)
+    return _decide(best, mean, scatter, n, sample_s, healthy_rad_s)
 
 
-def _decide(fit: _Fit, mean: float, scatter: float, n: int, sample_s: float) -> Verdict:
+def _decide(fit: _Fit, mean: float, scatter: float, n: int, sample_s: float, healthy_rad_s: float) -> Verdict:
     tiny = 1e-30
     r2 = 1.0 - fit.sse / max(scatter, tiny)
     # Amplitude, phase and frequency are three parameters more than a constant has.
@@ -149,7 +159,8 @@ def _decide(fit: _Fit, mean: float, scatter: float, n: int, sample_s: float) -> 
             return Verdict(FaultKind.PERIODIC, amplitude, fit.frequency, r2)
         return Verdict(FaultKind.OTHER, mean, 0.0, 0.0)
     spread = math.sqrt(scatter / n)
-    if spread > max(_SCATTER_OF_CONSTANT * abs(mean), _QUIET_SCATTER_RAD_S):
+    scattered = spread > max(_SCATTER_OF_CONSTANT * abs(mean), _QUIET_SCATTER_RAD_S)
+    if scattered or not abs(mean) > max(_STANDS_OUT * spread, healthy_rad_s):
         return Verdict(FaultKind.OTHER, mean, 0.0, 0.0)
     return Verdict(FaultKind.CONSTANT, mean, 0.0, mean * mean / max(mean * mean + spread * spread, tiny))
 

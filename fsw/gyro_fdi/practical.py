@@ -88,7 +88,7 @@ class PracticalDetector:
             AxisRecovery(cycle_s, arw, config.clear_threshold_rad_s, config.clear_filter_s, config.clear_after_s)
             for _ in range(3)
         )
-        self._classifiers = tuple(Classifier(cycle_s, config.classify_after_s) for _ in range(3))
+        self._classifiers = tuple(Classifier(cycle_s, config.classify_after_s, fog.bias_max_rad_s) for _ in range(3))
         self._marks: deque[Mark] = deque(maxlen=max(2, round(_HISTORY_S / cycle_s)))
         self.reset()
 

@@ -1,15 +1,16 @@
-"""The case file of the braking study: reproducible draws, a plant that agrees with scipy, runs that mean something."""
+"""The braking study: reproducible cases, flights that agree with an independent integration, outcomes that are not mixed."""
 
 from __future__ import annotations
 
-import math
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
-from tools.design.braking_cases import INERTIA_KGM2, Conditions, Plant, draw_case, find_axes, read_cases
-from tools.design.braking_study import FIRST_FRESH, LAWS, find_ratios, summarise
+from tools.design.braking_cases import Conditions, draw_case, fly, read_cases
+from tools.design.braking_study import FIRST_FRESH, LAWS, Ratio, find_ratios, summarise
 
 
 def test_stored_random_cases_are_the_drawn_ones() -> None:
@@ -26,47 +27,65 @@ def test_stored_random_cases_are_the_drawn_ones() -> None:
         assert drawn.faults == case.faults
 
 
-def test_axes_have_unit_length_and_the_stated_tilt() -> None:
-    """Wheels 1..3 are tilted by tilt_deg from their body axes; wheel 4 by its own two angles."""
-    for case in read_cases()[:20]:
-        axes = np.array(find_axes(case))
-        assert np.linalg.norm(axes, axis=0) == pytest.approx(np.ones(4))
-        for i in range(3):
-            assert math.degrees(math.acos(axes[i, i])) == pytest.approx(case.tilt_deg[i], abs=1e-6)
+def test_flight_agrees_with_an_independent_integration() -> None:
+    """The published scenario as a case, through frames: settling times of the reference in tests/data/zhang2018."""
+    settled = fly(read_cases()[0], LAWS["smc"], Conditions(step_s=0.01))
+    assert settled[5.0] == pytest.approx(69.1, abs=0.15)
+    assert settled[1.0] == pytest.approx(99.3, abs=0.15)
+    assert settled[0.1] == pytest.approx(123.8, abs=0.15)
 
 
-@pytest.mark.parametrize("momentum", [False, True])
-def test_plant_agrees_with_scipy(momentum: bool) -> None:
-    """Thirty seconds under constant torque against DOP853 on the equations written with matrices."""
-    torque = np.array([0.05, -0.03, 0.02])
-    inertia = np.array(INERTIA_KGM2)
+def test_faults_and_tilts_reach_the_plant() -> None:
+    """Without them the published case settles far sooner: at the time of the reference's row for healthy aligned wheels."""
+    case = read_cases()[0]
+    healthy = replace(case, faults=(), tilt_deg=(0.0,) * 4, clock_deg=(0.0,) * 4)
+    assert fly(healthy, LAWS["smc"], Conditions(step_s=0.01))[1.0] == pytest.approx(64.1, abs=0.15)
 
-    def slope(_t: float, y: np.ndarray) -> np.ndarray:
-        q0, q, w, h = y[0], y[1:4], y[4:7], y[7:]
-        spin = np.linalg.solve(inertia, torque - np.cross(w, inertia @ w + h))
-        return np.concatenate(
-            [[-0.5 * q @ w], 0.5 * (np.cross(q, w) + q0 * w), spin, -torque if momentum else 0 * torque]
-        )
 
-    start = np.array([0.8, 0.6, 0.0, 0.0, 0.02, -0.01, 0.03, 0.0, 0.0, 0.0])
-    expected = solve_ivp(slope, (0.0, 30.0), start, method="DOP853", rtol=1e-11, atol=1e-12).y[:, -1]
-    y = tuple(start.tolist())
-    for _ in range(600):
-        y = Plant(momentum).advance(y, tuple(torque.tolist()), 0.05)
-    assert y == pytest.approx(expected, abs=1e-8)
+@pytest.mark.parametrize(("until_s", "expected"), [(60.0, None), (75.0, None), (90.0, 69.1)])
+def test_not_settled_is_an_outcome_of_its_own(until_s: float, expected: float | None) -> None:
+    """No time where the error is still beyond the bound at the end, or was until just before; never the end itself."""
+    settled = fly(read_cases()[0], LAWS["smc"], Conditions(until_s=until_s))[5.0]
+    assert settled == (None if expected is None else pytest.approx(expected, abs=0.2))
+
+
+def test_unsettled_runs_are_counted_and_in_no_mean() -> None:
+    """Mean, 90th percentile and maximum of each group are of those that settled; the others are counted beside them."""
+    cases = read_cases()
+    row = summarise("law", cases, [1.5] + [1.0, 1.1, 1.2, 1.3] + [2.0] * 87 + [4.0] + [3.0] * 40)
+    assert row == "| law | 1.500 | 1.150 / 1.300 / 1.300 | 2.023 / 2.000 / 4.000 | 3.000 / 3.000 / 3.000 |"
+    row = summarise("law", cases, [None] + [1.0, None, 1.2, None] + [2.0] * 88 + [None] * 40, 200.0)
+    assert row == (
+        "| law | 1 of 1 not settled by 200 s | 1.100 / 1.200 / 1.200; 2 of 4 not settled by 200 s "
+        "| 2.000 / 2.000 / 2.000 | 40 of 40 not settled by 200 s |"
+    )
+
+
+@pytest.mark.parametrize("scale", [8.0, 0.1, 0.01])
+def test_a_satellite_of_any_size_settles_alike(scale: float) -> None:
+    """Inertia, wheels, stuck torque and gains times a factor, the published faults: within 2 % of the time at x1."""
+    case, law = read_cases()[0], LAWS["adaptive"]
+    one, other = fly_published(), fly(case, law, Conditions(scale=scale))
+    for bound in (5.0, 1.0):
+        assert other[bound] == pytest.approx(one[bound], rel=0.02)
+
+
+@cache
+def fly_published() -> dict[float, float | None]:
+    return fly(read_cases()[0], LAWS["adaptive"], Conditions())
 
 
 @pytest.mark.slow
 def test_adaptive_profile_beats_the_fixed_one_over_the_fresh_cases() -> None:
-    """Cases drawn after the settings were fixed: lower mean ratio than the fixed margin; given cases below 1.3."""
+    """Cases drawn after the settings were fixed: a lower mean ratio than the fixed margin, and all settle."""
     cases = read_cases()
     fresh = [case for case in cases if case.id.startswith("random") and int(case.id.split("-")[1]) >= FIRST_FRESH]
-    means = {name: np.mean(find_ratios(LAWS[name], fresh, Conditions())) for name in ("adaptive", "fixed")}
-    assert means["adaptive"] < means["fixed"] - 0.03
-    assert means["adaptive"] < 1.30
+    adaptive, fixed = (find_ratios(LAWS[name], fresh, Conditions()) for name in ("adaptive", "fixed"))
+    assert mean_of(adaptive) < 1.30
+    assert mean_of(adaptive) < mean_of([ratio for ratio in fixed if ratio is not None]) - 0.03
     given = find_ratios(LAWS["adaptive"], cases[1:5], Conditions())
-    assert max(given) < 1.30
-    assert min(given) > 0.9
+    assert max(settled(given)) < 1.30
+    assert min(settled(given)) > 0.9
 
 
 @pytest.mark.slow
@@ -74,12 +93,15 @@ def test_adaptive_profile_survives_a_late_bus() -> None:
     """One control period of unmodelled delay at 10 Hz costs less than a tenth: no limit cycle, no blow-up."""
     cases = read_cases()[::4]
     ideal = find_ratios(LAWS["adaptive"], cases, Conditions())
-    late = find_ratios(LAWS["adaptive"], cases, Conditions(delay_periods=1))
-    assert np.mean(late) < 1.1 * np.mean(ideal)
+    late = find_ratios(LAWS["adaptive"], cases, Conditions(delay_ticks=1))
+    assert mean_of(late) < 1.1 * mean_of(ideal)
 
 
-def test_summary_row_groups_the_cases() -> None:
-    """Mean, 90th percentile and maximum by group, from ratios that are known."""
-    cases = read_cases()
-    row = summarise("law", cases, [1.5] + [1.0, 1.1, 1.2, 1.3] + [2.0] * 87 + [4.0] + [3.0] * 40)
-    assert row == "| law | 1.500 | 1.150 / 1.300 / 1.300 | 2.023 / 2.000 / 4.000 | 3.000 / 3.000 / 3.000 |"
+def settled(ratios: Sequence[Ratio]) -> list[float]:
+    """The ratios, every one of which must be there."""
+    assert None not in ratios
+    return [ratio for ratio in ratios if ratio is not None]
+
+
+def mean_of(ratios: Sequence[Ratio]) -> float:
+    return float(np.mean(settled(ratios)))

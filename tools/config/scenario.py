@@ -6,7 +6,7 @@ import json
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 from bus.run import BusConfig, ClockConfig, Seed, run_hash
 from bus.settings import plain
@@ -43,6 +43,11 @@ class Resolved:
     scenario: Scenario
     path: Path  # of the file it was read from
     sources: tuple[Source, ...]  # the texts it was read from: the file, those it extends, overrides
+
+    @classmethod
+    def of(cls, scenario: Scenario) -> Self:
+        """A scenario that was built in Python. Plant and flight software still check their parts; no file is behind it."""
+        return cls(scenario, Path(scenario.name), ())
 
     @cached_property
     def run_hash(self) -> int:

@@ -1,4 +1,4 @@
-"""Slew cases with their clairvoyant optimum, and a plant in plain floats that flies flight algorithms through them.
+"""Slew cases with their clairvoyant optimum, and how a law flies through one of them on the bench.
 
 A case is a start, four misaligned wheels and a fault schedule for the satellite of Zhang, Ye & Sun 2018; `optimum_s`
 is the shortest time to rest at the target when every fault is known in advance (see braking_optimum.py). The file holds
@@ -9,22 +9,39 @@ from __future__ import annotations
 
 import json
 import math
-import random
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from bus.run import ClockConfig
 from bus.units import DEG, Mat3, Vec3, Vec4
-from fsw.records import Allocator, Controller, Observer
-from fsw.wheel_geometry import combine_wheels
+from fsw.allocators.pseudo_inverse import PseudoInverseConfig
+from fsw.config import AllocatorConfig, ControllerConfig, FswConfig, ObserverConfig, WheelHealthConfig
+from fsw.estimation.direct import DirectConfig
+from fsw.modes import ModesConfig
+from fsw.observers.ilo import IloConfig, scale_gains
+from fsw.vehicle import ModelConfig
+from fsw.wheel_health.none import NoWheelHealthConfig
+from plant_server import faults as plant_faults
+from plant_server.config import BodyConfig, GyroConfig, PlantConfig, StarTrackerConfig, WheelConfig
+from plant_server.wheels.axes import Mount, true_axis
+from tools.config.scenario import Resolved, Scenario
+from tools.run.bench import Bench
 
 CASES_FILE = Path(__file__).with_name("braking_cases.json")
 INERTIA_KGM2: Mat3 = ((45.0, 3.0, 2.0), (3.0, 38.0, -1.5), (2.0, -1.5, 50.0))
+WHEEL_TORQUE_NM, ROTOR_KGM2 = 0.1, 0.01
 BOUNDS_DEG = (5.0, 1.0, 0.1)
-QUIET_S = 15.0  # a run ends when the error has stayed below the smallest bound this long
+QUIET_S = 15.0  # settled: the error has stayed below the bound this long and to the end of the run
+UNTIL_S = 300.0
+NEVER = 1e6  # deg/s, s: the laws are judged, so no mode but pointing is ever entered
+_MOUNTS: tuple[Mount, Mount, Mount, Mount] = ("x", "y", "z", "skew")
+ILO = IloConfig(kind="ilo")
+NO_HEALTH = NoWheelHealthConfig(kind="none")
+PSEUDO_INVERSE = PseudoInverseConfig(kind="pseudo_inverse")
+_PLANT_KINDS = {"loss": "loss", "stuck": "stuck_torque", "dead": "dead"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +67,118 @@ class Case:
     clock_deg: Vec4
     faults: tuple[Fault, ...]
     optimum_s: float = math.nan
+
+
+@dataclass(frozen=True, slots=True)
+class Conditions:
+    """How far a run is from the ideal, how large the satellite is, and how long it is watched."""
+
+    tick_hz: int = 10  # of sensors, control and commands
+    step_s: float = 0.05  # of the plant
+    delay_ticks: int = 0  # of the commands
+    gyro_sigma_rad_s: float = 0.0  # white noise of a sample
+    momentum: bool = False  # of the wheels, in plant and model
+    scale: float = 1.0  # of inertia, torque and everything in their units
+    until_s: float = UNTIL_S
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Law:
+    """The flight algorithms that close the loop. An ILO's gains are scaled to the control period."""
+
+    controller: ControllerConfig
+    observer: ObserverConfig = ILO
+    wheel_health: WheelHealthConfig = NO_HEALTH
+    allocator: AllocatorConfig = PSEUDO_INVERSE
+
+
+def fly(case: Case, law: Law, conditions: Conditions) -> dict[float, float | None]:
+    """Return, for each bound of BOUNDS_DEG, the last time at which the error exceeds it [s]; None: not settled.
+
+    Not settled is what exceeds the bound within QUIET_S of the end of the run, conditions.until_s.
+    """
+    bench = Bench(Resolved.of(make_scenario(case, law, conditions)))
+    last = dict.fromkeys(BOUNDS_DEG, 0.0)
+    tightest = min(BOUNDS_DEG)
+    while bench.tick < bench.ticks:
+        bench.step()
+        error_deg, t_s = bench.truth.error_deg, bench.t_s
+        for bound in BOUNDS_DEG:
+            if error_deg > bound:
+                last[bound] = t_s
+        if t_s - last[tightest] > QUIET_S:
+            break
+    return {bound: time_s if bench.t_s - time_s >= QUIET_S else None for bound, time_s in last.items()}
+
+
+def make_scenario(case: Case, law: Law, conditions: Conditions) -> Scenario:
+    """Return the flight of a law through a case as a scenario: ideal star tracker, no estimator in between."""
+    scale = conditions.scale
+    tick_s = 1.0 / conditions.tick_hz
+    inertia: Mat3 = tuple(tuple(scale * v for v in row) for row in INERTIA_KGM2)  # type: ignore[assignment]
+    observer = law.observer
+    if isinstance(observer, IloConfig):
+        observer = scale_gains(observer, tick_s)
+        observer = replace(
+            observer, k2=scale * observer.k2, k3=scale * observer.k3, lambda_nm_s=scale * observer.lambda_nm_s
+        )
+    model = ModelConfig(
+        inertia_kgm2=inertia, wheel_max_torque_nm=scale * WHEEL_TORQUE_NM, wheel_inertia_kgm2=scale * ROTOR_KGM2,
+        wheel_momentum=conditions.momentum,
+    )  # fmt: skip
+    return Scenario(
+        name=case.id,
+        seed=sum(case.id.encode()),
+        duration_s=conditions.until_s,
+        clock=ClockConfig(mode="inprocess", tick_hz=conditions.tick_hz),
+        plant=_make_plant(case, conditions, inertia),
+        faults=tuple(_make_fault(fault, scale) for fault in case.faults),
+        fsw=FswConfig(
+            model=model,
+            estimator=DirectConfig(kind="direct"),
+            observer=observer,
+            wheel_health=law.wheel_health,
+            controller=law.controller,
+            allocator=law.allocator,
+            modes=ModesConfig(detumble_above_deg_s=NEVER, star_stale_after_s=NEVER),
+        ),
+    )
+
+
+def _make_plant(case: Case, conditions: Conditions, inertia: Mat3) -> PlantConfig:
+    scale = conditions.scale
+    x, y, z = case.omega0_rad_s
+    a, b, c, d = (
+        WheelConfig(
+            mount=mount, tilt_deg=tilt, clock_deg=clock,
+            inertia_kgm2=scale * ROTOR_KGM2, max_torque_nm=scale * WHEEL_TORQUE_NM,
+        )
+        for mount, tilt, clock in zip(_MOUNTS, case.tilt_deg, case.clock_deg, strict=True)
+    )  # fmt: skip
+    white = conditions.gyro_sigma_rad_s * math.sqrt(1.0 / conditions.tick_hz)
+    return PlantConfig(
+        step_s=conditions.step_s,
+        body=BodyConfig(
+            inertia_kgm2=inertia, attitude_q=case.q0, rate_deg_s=(x / DEG, y / DEG, z / DEG),
+            wheel_gyroscopic=conditions.momentum,
+        ),
+        wheels=(a, b, c, d),
+        gyro=GyroConfig(preset="ideal", arw_rad_sqrt_s=white),
+        star_tracker=StarTrackerConfig(rate_hz=float(conditions.tick_hz)),
+        command_latency_ticks=conditions.delay_ticks,
+    )  # fmt: skip
+
+
+def _make_fault(fault: Fault, scale: float) -> plant_faults.Fault:
+    """Return a fault of a case as the plant knows it."""
+    return plant_faults.make_fault(
+        unit=f"wheel.{fault.wheel}",
+        kind=_PLANT_KINDS[fault.kind],
+        at_s=fault.from_s,
+        until_s=fault.until_s if math.isfinite(fault.until_s) else None,
+        effectiveness=fault.effectiveness if fault.kind == "loss" else None,
+        torque_nm=scale * fault.torque_nm if fault.kind == "stuck" else None,
+    )
 
 
 def read_cases(path: Path = CASES_FILE) -> list[Case]:
@@ -101,127 +230,8 @@ def _draw_fault(r: np.random.Generator, wheel: int, kind: str) -> Fault:
 
 
 def find_axes(case: Case) -> tuple[Vec4, Vec4, Vec4]:
-    """Return D, columns the true spin axes, of the paper's exact form with its misprint in d2 put right."""
-    a, b = np.array(case.tilt_deg) * DEG, np.array(case.clock_deg) * DEG
-    c, s = np.cos, np.sin
-    lift, turn = math.asin(1.0 / math.sqrt(3.0)) + a[3], math.pi / 4.0 + b[3]
-    columns = (
-        (c(a[0]), s(a[0]) * c(b[0]), s(a[0]) * s(b[0])),
-        (s(a[1]) * c(b[1]), c(a[1]), s(a[1]) * s(b[1])),
-        (s(a[2]) * c(b[2]), s(a[2]) * s(b[2]), c(a[2])),
-        (c(lift) * c(turn), c(lift) * s(turn), s(lift)),
+    """Return D, shape (3, 4), columns the true spin axes in body axes."""
+    a, b, c, d = (
+        true_axis(mount, tilt, clock) for mount, tilt, clock in zip(_MOUNTS, case.tilt_deg, case.clock_deg, strict=True)
     )
-    rows = np.array(columns).T.tolist()
-    return (tuple(rows[0]), tuple(rows[1]), tuple(rows[2]))
-
-
-def apply_faults(faults: tuple[Fault, ...], t_s: float, command: Vec4) -> Vec4:
-    """Return the wheel torques that act [N m]."""
-    torque = list(command)
-    for fault in faults:
-        if fault.from_s <= t_s < fault.until_s:
-            i = fault.wheel - 1
-            torque[i] = {"loss": fault.effectiveness * torque[i], "stuck": fault.torque_nm, "dead": 0.0}[fault.kind]
-    return (torque[0], torque[1], torque[2], torque[3])
-
-
-State = tuple[float, ...]  # q0 qx qy qz, wx wy wz, and the wheels' momentum in body axes hx hy hz
-
-
-@dataclass(frozen=True, slots=True)
-class Plant:
-    """J w' = -w x (J w + h) + u, h' = -u for momentum != 0, h = 0 for the paper's plant."""
-
-    momentum: bool = False
-    inverse: tuple[Vec3, Vec3, Vec3] = tuple(tuple(row) for row in np.linalg.inv(np.array(INERTIA_KGM2)).tolist())  # type: ignore[assignment]
-
-    def slope(self, y: State, u: Vec3) -> State:
-        """d/dt of the state under body torque u [N m]."""
-        q0, q1, q2, q3, x, y_, z, mx, my, mz = y
-        (a, b, c), (d, e, f), (g, h, i) = INERTIA_KGM2
-        hx, hy, hz = a * x + b * y_ + c * z + mx, d * x + e * y_ + f * z + my, g * x + h * y_ + i * z + mz
-        tx, ty, tz = u[0] - (y_ * hz - z * hy), u[1] - (z * hx - x * hz), u[2] - (x * hy - y_ * hx)
-        (a, b, c), (d, e, f), (g, h, i) = self.inverse
-        k = -1.0 if self.momentum else 0.0
-        return (
-            -0.5 * (q1 * x + q2 * y_ + q3 * z),
-            0.5 * (q0 * x + q2 * z - q3 * y_),
-            0.5 * (q0 * y_ + q3 * x - q1 * z),
-            0.5 * (q0 * z + q1 * y_ - q2 * x),
-            a * tx + b * ty + c * tz,
-            d * tx + e * ty + f * tz,
-            g * tx + h * ty + i * tz,
-            k * u[0],
-            k * u[1],
-            k * u[2],
-        )
-
-    def advance(self, y: State, u: Vec3, dt_s: float) -> State:
-        """One classical Runge-Kutta step under constant torque, attitude renormalised."""
-        k1 = self.slope(y, u)
-        k2 = self.slope(tuple(s + 0.5 * dt_s * k for s, k in zip(y, k1, strict=True)), u)
-        k3 = self.slope(tuple(s + 0.5 * dt_s * k for s, k in zip(y, k2, strict=True)), u)
-        k4 = self.slope(tuple(s + dt_s * k for s, k in zip(y, k3, strict=True)), u)
-        new = [s + dt_s / 6.0 * (a + 2.0 * (b + c) + d) for s, a, b, c, d in zip(y, k1, k2, k3, k4, strict=True)]
-        norm = math.sqrt(new[0] ** 2 + new[1] ** 2 + new[2] ** 2 + new[3] ** 2)
-        return (new[0] / norm, new[1] / norm, new[2] / norm, new[3] / norm, *new[4:])
-
-
-@dataclass(frozen=True, slots=True)
-class Conditions:
-    """How far a run is from the ideal: control period, plant step, sample delays, gyro noise, wheel momentum."""
-
-    period_s: float = 0.1
-    step_s: float = 0.05
-    delay_periods: int = 0
-    gyro_sigma_rad_s: float = 0.0
-    momentum: bool = False
-    until_s: float = 150.0
-
-
-@dataclass(frozen=True, slots=True)
-class Stack:
-    """The three flight algorithms that close the loop."""
-
-    observer: Observer
-    controller: Controller
-    allocator: Allocator
-
-
-def fly(case: Case, make_stack: Callable[[Conditions], Stack], conditions: Conditions) -> dict[float, float]:
-    """Return, for each bound of BOUNDS_DEG, the last time at which the error angle exceeds it [s]."""
-    stack = make_stack(conditions)
-    plant = Plant(conditions.momentum)
-    axes = find_axes(case)
-    noise = random.Random(case.id)
-    scale = 1.0 / math.sqrt(sum(x * x for x in case.q0))
-    y: State = (*(x * scale for x in case.q0), *case.omega0_rad_s, 0.0, 0.0, 0.0)
-    command: Vec4 = (0.0, 0.0, 0.0, 0.0)
-    queue = [command] * conditions.delay_periods
-    last = dict.fromkeys(BOUNDS_DEG, 0.0)
-    steps = round(conditions.period_s / conditions.step_s)
-    for k in range(round(conditions.until_s / conditions.period_s)):
-        t_s = k * conditions.period_s
-        sigma = conditions.gyro_sigma_rad_s
-        rate = (y[4] + noise.gauss(0.0, sigma), y[5] + noise.gauss(0.0, sigma), y[6] + noise.gauss(0.0, sigma))
-        sign = 1.0 if y[0] >= 0.0 else -1.0
-        q_err = (sign * y[0], sign * y[1], sign * y[2], sign * y[3])
-        tau_fault = stack.observer.step(conditions.period_s, rate, combine_wheels(command), (y[7], y[8], y[9]))
-        demand = stack.controller.step(conditions.period_s, q_err, rate, tau_fault)
-        if demand.tau_rw_nm is None:
-            command = stack.allocator.allocate(demand.tau_cmd_b_nm)
-        else:
-            command = stack.allocator.limit(demand.tau_rw_nm)
-        queue.append(command)
-        acting = queue.pop(0)
-        for j in range(steps):
-            a, b, c, d = apply_faults(case.faults, t_s + j * conditions.step_s + 1e-9, acting)
-            u = tuple(row[0] * a + row[1] * b + row[2] * c + row[3] * d for row in axes)
-            y = plant.advance(y, (u[0], u[1], u[2]), conditions.step_s)
-            angle_deg = 2.0 * math.asin(min(1.0, math.sqrt(y[1] ** 2 + y[2] ** 2 + y[3] ** 2))) / DEG
-            for bound in BOUNDS_DEG:
-                if angle_deg > bound:
-                    last[bound] = t_s + (j + 1) * conditions.step_s
-        if t_s - last[BOUNDS_DEG[-1]] > QUIET_S:
-            break
-    return last
+    return ((a[0], b[0], c[0], d[0]), (a[1], b[1], c[1], d[1]), (a[2], b[2], c[2], d[2]))

@@ -5,6 +5,7 @@
     python -m tools.design.fdi_campaign kinds --runs 5
     python -m tools.design.fdi_campaign separation --runs 20
     python -m tools.design.fdi_campaign coupling [--amplitude 0.1 ...]
+    python -m tools.design.fdi_campaign rates --runs 10
 
 Every flight is a closed loop with misaligned wheels and a wrong inertia; all draws come from --seed. One JSON object
 with the figures goes to stdout, progress to stderr.
@@ -23,15 +24,16 @@ from typing import Any
 import numpy as np
 
 from fsw.gyro_fdi.classification import FaultKind
-from fsw.gyro_fdi.practical import PracticalDetector
 from plant_server.faults import make_fault
-from tools.design.fdi_flight import WHEEL_FAULTS, FlightSettings, Moment, fly, with_detector
+from tools.design.fdi_flight import NEVER, WHEEL_FAULTS, FlightSettings, Moment, fly, with_detector
 
 AXES = ("gyro.x", "gyro.y", "gyro.z")
 ALARM = 2
 SETTLE_S = 2.0  # the estimate is graded from this long after the alarm
 AMPLITUDES = (0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001, 0.0005)
 KIND_CASES = ((0.1, 0.0), (0.001, 0.0), (0.05, 0.5), (0.05, 2.0), (0.05, 5.0), (0.01, 0.5))  # amplitude, frequency
+BLIND_FROM_S = 20.0
+RATES_DEG_S = (1.0, 2.0, 5.0, 10.0, 20.0, 25.0, 30.0, 40.0, 60.0)  # of the body at the start
 COUPLING_AMPLITUDES = (0.0, 0.001, 0.01, 0.1)
 
 
@@ -58,7 +60,7 @@ class Watch:
             if state:
                 self.suspect_s[axis] = min(self.suspect_s[axis], t_s)
             self.suspect_ticks += state == 1
-        for wheel, alarm in enumerate(detection.wheel_alarm):
+        for wheel, alarm in enumerate(moment.wheel_alarm):
             if alarm and t_s < self.wheel_alarm_s[wheel]:
                 self.wheel_alarm_s[wheel] = t_s
         if t_s >= self.onset_s:
@@ -67,12 +69,12 @@ class Watch:
     def _grade(self, moment: Moment) -> None:
         for axis in self.axes:
             if moment.t_s > self.alarm_s[axis] + SETTLE_S:
-                error = moment.detection.fault_hat_b_rad_s[axis] - moment.gyro_fault_b_rad_s[axis]
+                error = moment.detection.fault_hat_b_rad_s[axis] - moment.truth.fault_b_rad_s[axis]
                 self.estimate_errors.append(error)
-        pair = zip(moment.tau_fault_hat_b_nm, moment.tau_fault_true_b_nm, strict=True)
+        pair = zip(moment.tau_fault_hat_b_nm, moment.truth.tau_fault_b_nm, strict=True)
         self.torque_errors.append(max(abs(a - b) for a, b in pair))
-        self.pointing_deg.append(moment.error_deg)
-        self.rates_deg_s.append(math.degrees(math.hypot(*moment.omega_true_b_rad_s)))
+        self.pointing_deg.append(moment.truth.error_deg)
+        self.rates_deg_s.append(math.degrees(math.hypot(*moment.truth.omega_bi_b_rad_s)))
 
     @property
     def delays_s(self) -> list[float]:
@@ -147,12 +149,11 @@ def judge_kind(base: FlightSettings, runs: int, amplitude: float, frequency: flo
             frequency_rad_s=frequency or None,
         )  # fmt: skip
         flight = vary(base, seed=base.seed + run, duration_s=onset_s + 32.0, faults=(*WHEEL_FAULTS, fault))
-        detector = fly(flight, lambda moment: None)
-        assert isinstance(detector, PracticalDetector)
-        found = detector.internals
-        right += found.fault_kind[axis] == wanted
-        size_errors.append(abs(found.fault_magnitude_rad_s[axis]) / amplitude - 1.0)
-        frequency_errors.append(found.fault_frequency_rad_s[axis] / frequency - 1.0 if frequency else 0.0)
+        bench = fly(flight, lambda moment: None)
+        right += bench.read("fsw.detector.fault_kind")[axis] == wanted
+        size_errors.append(abs(bench.read("fsw.detector.fault_magnitude_rad_s")[axis]) / amplitude - 1.0)
+        found_rad_s = bench.read("fsw.detector.fault_frequency_rad_s")[axis]
+        frequency_errors.append(found_rad_s / frequency - 1.0 if frequency else 0.0)
     return {
         "amplitude_rad_s": amplitude, "frequency_rad_s": frequency, "right": right, "runs": runs,
         "size_error_rms": rms(size_errors), "frequency_error_rms": rms(frequency_errors),
@@ -188,9 +189,10 @@ def check_separation(base: FlightSettings, runs: int) -> dict[str, Any]:
 def measure_coupling(base: FlightSettings, amplitude: float, recovery: str) -> dict[str, Any]:
     """Return what a constant drift on three axes does to observer, pointing and rate, recovery on or off."""
     onset_s = 150.0
-    faults = tuple(make_fault(unit=unit, kind="constant", at_s=onset_s, rate_rad_s=amplitude) for unit in AXES)
-    chosen = (*WHEEL_FAULTS, *faults) if amplitude else WHEEL_FAULTS
-    settings = vary(base, duration_s=270.0, manoeuvre_every_s=0.0, published_start=True, faults=chosen)
+    at_fault = AXES if amplitude else ()
+    drift = tuple(make_fault(unit=unit, kind="constant", at_s=onset_s, rate_rad_s=amplitude) for unit in at_fault)
+    faults = (*WHEEL_FAULTS, *drift)
+    settings = vary(base, duration_s=270.0, manoeuvre_every_s=0.0, published_start=True, faults=faults)
     watch = Watch(onset_s, (0, 1, 2) if amplitude else ())
     fly(with_detector(settings, recovery=recovery), watch)
     return {
@@ -201,6 +203,29 @@ def measure_coupling(base: FlightSettings, amplitude: float, recovery: str) -> d
         "pointing_max_deg": round(max(watch.pointing_deg), 3),
         "rate_max_deg_s": round(max(watch.rates_deg_s), 3),
     }
+
+
+def count_accused(base: FlightSettings, runs: int, rate_deg_s: float, blind: bool) -> dict[str, Any]:
+    """Return how often a healthy gyro is accused in 120 s of flight that start at a rate about a random axis.
+
+    blind : the star tracker is lost after BLIND_FROM_S; else it sees throughout, whatever the rate
+    """
+    lost = (make_fault(unit="star_tracker", kind="dropout", at_s=BLIND_FROM_S),) if blind else ()
+    accused, soonest_s, suspect_ticks = 0, math.inf, 0
+    for run in range(runs):
+        axis = np.random.default_rng([base.seed, run, 5]).normal(size=3)
+        x, y, z = (rate_deg_s / np.linalg.norm(axis) * axis).tolist()
+        watch = Watch(math.inf, ())
+        start = vary(base, seed=base.seed + run, duration_s=120.0, start_rate_deg_s=(x, y, z), faults=lost)
+        fly(vary(start, star_max_rate_deg_s=NEVER), watch)
+        accused += min(watch.alarm_s) < math.inf
+        soonest_s = min(soonest_s, *watch.alarm_s)
+        suspect_ticks += watch.suspect_ticks
+    return {
+        "rate_deg_s": rate_deg_s, "tracker": f"lost at {BLIND_FROM_S:g} s" if blind else "sees",
+        "runs": runs, "accused": accused, "suspect_ticks": suspect_ticks,
+        "soonest_s": soonest_s if math.isfinite(soonest_s) else None,
+    }  # fmt: skip
 
 
 def vary(base: FlightSettings, **changes: object) -> FlightSettings:
@@ -222,7 +247,7 @@ def report(text: str) -> None:
 def main(arguments: list[str] | None = None) -> int:
     """Run one campaign and print its figures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("false-alarms", "delays", "kinds", "separation", "coupling"))
+    parser.add_argument("what", choices=("false-alarms", "delays", "kinds", "separation", "coupling", "rates"))
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--hours", type=float, default=1.0, help="length of each false-alarm flight")
     parser.add_argument("--seed", type=int, default=1)
@@ -246,6 +271,8 @@ def run_campaign(options: argparse.Namespace, base: FlightSettings) -> Any:
         return [judge_kind(base, options.runs, *case) for case in KIND_CASES]
     if options.what == "separation":
         return check_separation(base, options.runs)
+    if options.what == "rates":
+        return [count_accused(base, options.runs, rate, blind) for blind in (False, True) for rate in RATES_DEG_S]
     out = []
     if options.what == "coupling":
         for amplitude in options.amplitude or COUPLING_AMPLITUDES:

@@ -63,7 +63,7 @@ def keep_ticks(scenario: str, ticks: int) -> tuple[list[Tick], dict[int, bytes]]
     kept: list[Tick] = []
     tables: dict[int, bytes] = {}
     bench = Bench(load_scenario(find_scenario(scenario)), KeepingLink(1, kept, tables), KeepingLink(2, kept, tables))
-    bench.run(ticks)
+    bench.step(ticks)
     return kept, tables
 
 
@@ -107,7 +107,8 @@ def list_values(kept: list[Tick], tables: dict[int, bytes]) -> tuple[list[dict[s
     last: dict[int, bytes] = {channel: data for channel, _, _, data in split(kept[-2:])}
     values, topics = [], []
     for row in (row for table in tables.values() for row in json.loads(table)):
-        if row["schema_name"].endswith("CanFrames"):
+        # Frames, inputs, and what speaks seldom are no signals of a tick.
+        if row["schema_name"].endswith(("CanFrames", "CycleInput")) or row["channel"] not in last:
             continue
         dtype = parse_layout(row["schema"], row["topic"])
         record = np.frombuffer(last[row["channel"]][4:], dtype)[0]

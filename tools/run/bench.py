@@ -36,7 +36,7 @@ from fsw.telemetry import SOURCE as FSW_SOURCE
 from plant_server.faults import Fault
 from plant_server.node import PlantNode
 from plant_server.pacing import Accept
-from plant_server.plant import Plant
+from plant_server.plant import Plant, Snapshot
 from plant_server.truth import SOURCE as PLANT_SOURCE
 from plant_server.truth import Truth
 from tools.config.loader import load_scenario
@@ -134,7 +134,15 @@ class Bench:
     @property
     def truth(self) -> Truth:
         """What is so now, by name: `truth.q_ib`, `truth.error_deg`, ... (see plant_server/truth.py)."""
-        truth = self.plant_node.plant.truth()
+        return self._point(self.plant_node.plant.snapshot())
+
+    @property
+    def sampled_truth(self) -> Truth:
+        """What was so on the last tick when its samples were taken: what goes with that tick's telemetry, and is logged."""
+        return self._point(self.plant_node.channel.snapshot)
+
+    def _point(self, snapshot: Snapshot) -> Truth:
+        truth = Truth.from_flat(Plant.flatten(snapshot))
         return truth._replace(error_deg=angle_between(self.flight.guidance.target.q_it, truth.q_ib) / DEG)
 
     def read(self, signal: str) -> Any:
