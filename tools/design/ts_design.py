@@ -20,8 +20,9 @@ from typing import Any
 import numpy as np
 
 from bus.errors import DesignError
+from bus.linear import invert_symmetric
 from bus.units import Mat3
-from fsw.gyro_fdi.ts_model import OPERATING_RATE_RAD_S, VERTEX_SIGNS, invert, make_a, make_f
+from fsw.gyro_fdi.ts_model import OPERATING_RATE_RAD_S, VERTEX_SIGNS, make_a, make_f
 from tools.design.hinf import Array, Controller, GeneralisedPlant, close_loop, compute_norm, discretise, synthesise
 
 GAINS_DIR = Path(__file__).resolve().parents[2] / "fsw" / "gyro_fdi"
@@ -78,7 +79,7 @@ def design_bank(inertia_kgm2: Mat3, weighting: Weighting) -> tuple[list[Controll
     Raises DesignError where a rule cannot be designed, or its sampled loop is not stable at one of RATES_HZ.
     """
     controllers, records = [], []
-    j_inv = invert(inertia_kgm2)
+    j_inv = invert_symmetric(inertia_kgm2)
     for rule, signs in enumerate(VERTEX_SIGNS):
         x, y, z = (OPERATING_RATE_RAD_S * s for s in signs)
         a_i = np.array(make_a(inertia_kgm2, j_inv, (x, y, z)))
@@ -103,7 +104,7 @@ def certify_static(inertia_kgm2: Mat3) -> float:
     V = |J e|^2 decreases for l above the largest eigenvalue of the symmetric part of J F J^-1 at the vertices; F is
     linear in the rate, so the vertices bound the cube. Sufficient: a common P by LMI reaches lower.
     """
-    j, j_inv = np.array(inertia_kgm2), invert(inertia_kgm2)
+    j, j_inv = np.array(inertia_kgm2), invert_symmetric(inertia_kgm2)
     worst = 0.0
     for signs in VERTEX_SIGNS:
         x, y, z = (OPERATING_RATE_RAD_S * s for s in signs)
@@ -162,7 +163,7 @@ def make_documents(name: str) -> tuple[dict[str, Any], dict[str, Any]]:
 def compare_gains(committed: dict[str, Any], fresh: dict[str, Any]) -> float:
     """Return the largest difference of T_ef between two gains files, relative to its size, over both banks."""
     inertia, worst = fresh["inertia_kgm2"], 0.0
-    j_inv = invert(inertia)
+    j_inv = invert_symmetric(inertia)
     for bank, rules in fresh["banks"].items():
         for rule, (new, old) in enumerate(zip(rules, committed["banks"][bank], strict=True)):
             x, y, z = (OPERATING_RATE_RAD_S * s for s in VERTEX_SIGNS[rule])
