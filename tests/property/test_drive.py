@@ -24,7 +24,9 @@ def read_back(commands: WheelCommands) -> tuple[list[float], list[int]]:
 
 
 @given(st.tuples(torque, torque, torque, torque), flags)
-def test_what_comes_back_is_what_the_frames_carry(tau: tuple[float, float, float, float], available: tuple[bool, ...]) -> None:
+def test_what_comes_back_is_what_the_frames_carry(
+    tau: tuple[float, float, float, float], available: tuple[bool, ...]
+) -> None:
     """Torques returned equal decode(encode()) digit for digit; a wheel that is not available is OFF with zero torque."""
     commands = command_wheels(tau, WheelHealth(available=available))  # type: ignore[arg-type]
     torques, modes = read_back(commands)
