@@ -27,7 +27,7 @@ class Keeper(Link):
 def test_rows_hold_nothing_that_can_change(name: str) -> None:
     """Hashable through and through (a list or an object inside would raise), and the same 60 ticks later."""
     plant, fsw = Keeper(), Keeper()
-    Bench(load_scenario(find_scenario(name), ["clock.mode=inprocess", "expect=[]"]), plant, fsw).run(60)
+    Bench(load_scenario(find_scenario(name), ["clock.mode=inprocess", "expect=[]"]), plant, fsw).step(60)
     for keeper in (plant, fsw):
         assert len(keeper.rows) == 60
         assert all(hash(row) == before for row, before in keeper.rows)

@@ -7,9 +7,10 @@ import time
 
 import pytest
 
+from bus.clock import SystemClock
 from bus.errors import ConfigError, DeadlineError
 from fsw.executive import DEGRADED_CYCLES, Executive, Watchdog
-from fsw.schedule import RateGroup, Schedule, flight_schedule
+from fsw.schedule import RateGroup, Schedule, Slot, flight_schedule
 
 PERIOD_NS = 10_000_000
 
@@ -50,10 +51,7 @@ def test_releases_on_absolute_deadlines_whatever_the_cycles_take() -> None:
         assert executive.wait() == tick
         assert clock.now == epoch + tick * PERIOD_NS
         clock.now += 3_333_333
-        executive.done()
-    assert executive.counters.cycles == 5
     assert executive.counters.slips == 0
-    assert executive.counters.last_cycle_ns == executive.counters.max_cycle_ns == 3_333_333
 
 
 def test_lateness_below_a_period_is_measured_and_is_no_slip() -> None:
@@ -100,10 +98,8 @@ def test_degrade_sheds_for_a_while_and_comes_back() -> None:
     assert executive.degraded
     for _ in range(DEGRADED_CYCLES):
         assert executive.degraded
-        executive.done()
         executive.wait()
     assert not executive.degraded
-    assert executive.counters.shed == DEGRADED_CYCLES
 
 
 def test_safe_asks_for_safe_mode_once() -> None:
@@ -133,20 +129,6 @@ def test_endless_slips_end_the_run_by_name() -> None:
         executive.wait()
 
 
-def test_waiting_may_be_handed_to_the_caller() -> None:
-    """A caller that serves the bus while it waits gets the deadline instead of the clock."""
-    executive, clock = make()
-    executive.wait()
-    asked: list[int] = []
-
-    def serve(deadline_ns: int) -> None:
-        asked.append(deadline_ns)
-        clock.now = deadline_ns
-
-    assert executive.wait(serve) == 1
-    assert asked == [1_000 + PERIOD_NS]
-
-
 def test_watchdog_bites_only_when_it_is_not_fed() -> None:
     """Silence longer than the limit is a bite; a feed starts the silence anew."""
     clock = HandClock()
@@ -162,7 +144,7 @@ def test_watchdog_bites_only_when_it_is_not_fed() -> None:
 
 def test_a_hanging_cycle_is_bitten() -> None:
     """A loop that never feeds is ended from the timer by name; one that feeds is left alone, and the timer goes."""
-    watchdog = Watchdog(50_000_000)
+    watchdog = Watchdog(50_000_000, SystemClock())
     with watchdog.guard():
         until = time.monotonic() + 0.2
         while time.monotonic() < until:
@@ -173,16 +155,35 @@ def test_a_hanging_cycle_is_bitten() -> None:
 
 
 def test_rate_groups_run_on_their_ticks() -> None:
-    """A divider of 10 with phase 0 runs on ticks 0, 10, 20."""
-    schedule = flight_schedule(10)
-    control = schedule.group("control")
-    assert [tick for tick in range(25) if control.due(tick)] == [0, 10, 20]
-    assert not schedule.group("telemetry").essential
+    """A divider of 10 with phase 0 runs on ticks 0, 10, 20, each time told that 10 ticks have passed; phase 3 on 3, 13, 23."""
+    control, _ = flight_schedule(10).open_slots()
+    shifted = Slot(RateGroup("shifted", 10, 3))
+    assert [(tick, ticks) for tick in range(25) if (ticks := control.take(tick))] == [(0, 10), (10, 10), (20, 10)]
+    assert [(tick, ticks) for tick in range(25) if (ticks := shifted.take(tick))] == [(3, 10), (13, 10), (23, 10)]
+
+
+def test_a_slot_that_was_skipped_runs_on_the_first_tick_after_it() -> None:
+    """Ticks 8 to 12 are lost: control runs on 13, is told that 13 ticks have passed, and later slots stay on the grid."""
+    control, _ = flight_schedule(10).open_slots()
+    ticks = [*range(8), *range(13, 35)]
+    assert [(tick, passed) for tick in ticks if (passed := control.take(tick))] == [
+        (0, 10),
+        (13, 13),
+        (20, 7),
+        (30, 10),
+    ]
+    assert control.next_tick == 40
+
+
+def test_what_is_not_essential_is_shed_and_counted_and_comes_back() -> None:
+    """Diagnostics are left out only on the ticks on which they are due and shedding is on; control never is."""
+    control, diagnostics = flight_schedule(2).open_slots()
+    ran = [[tick for tick in range(12) if slot.take(tick, 4 <= tick < 8)] for slot in (control, diagnostics)]
+    assert ran == [[0, 2, 4, 6, 8, 10], [0, 2, 8, 10]]
+    assert (control.shed, diagnostics.shed) == (0, 2)
 
 
 def test_impossible_schedules_are_refused() -> None:
-    """Every wrong row is named, and so is a group that is not there."""
+    """Every wrong row is named."""
     with pytest.raises(ConfigError, match=r"(?s)'a'.*'b'"):
         Schedule((RateGroup("a", 0), RateGroup("b", 2, 2)))
-    with pytest.raises(ConfigError, match="there are: attitude, control, telemetry"):
-        flight_schedule(1).group("nothing")

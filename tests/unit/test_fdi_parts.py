@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 import pytest
-from fsw.gyro_fdi.wheel_monitor import WheelMonitor
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
@@ -16,6 +15,7 @@ from fsw.gyro_fdi.momentum_filter import MomentumFilter
 from fsw.gyro_fdi.parity import Frame, Healthy, Parity, interpolate
 from fsw.gyro_fdi.plausibility import Plausibility, bound_acceleration
 from fsw.gyro_fdi.recovery import AxisRecovery, AxisState
+from fsw.vehicle import ModelConfig, Vehicle
 
 J = ((45.0, 3.0, 2.0), (3.0, 38.0, -1.5), (2.0, -1.5, 50.0))
 TICK_S = 0.05
@@ -147,7 +147,7 @@ def test_acceleration_bound_is_the_worst_of_all_torque_signs() -> None:
     d0 = np.array([[1, 0, 0, 3**-0.5], [0, 1, 0, 3**-0.5], [0, 0, 1, 3**-0.5]])
     corners = np.array([[1 if n >> i & 1 else -1 for i in range(4)] for n in range(16)]) * 0.1
     worst = np.abs(np.linalg.solve(np.array(J), d0 @ corners.T)).max()
-    assert bound_acceleration(J, 0.1) == pytest.approx(worst, rel=1e-12)
+    assert bound_acceleration(Vehicle(ModelConfig(inertia_kgm2=J))) == pytest.approx(worst, rel=1e-12)
 
 
 def test_plausibility_sees_jumps_and_not_the_wheels() -> None:
@@ -164,23 +164,6 @@ def test_plausibility_sees_jumps_and_not_the_wheels() -> None:
     assert suspect[800, 1]
     assert not suspect[:, [0, 2]].any()
     assert np.flatnonzero(suspect[:, 1])[-1] < 800 + round(4.5 / TICK_S)
-
-
-def test_wheel_monitor_names_the_wheel_and_lets_it_go() -> None:
-    """A wheel that gives half its torque is named once 0.01 N m are missing through a 1 s filter; later it is released."""
-    monitor = WheelMonitor(TICK_S, 0.01, 1.0)
-    h = np.zeros(4)
-    alarms = []
-    for k in range(1000):
-        command = np.array([0.05, -0.05, 0.03, 0.02])
-        given = command * np.array([1.0, 0.5 if 200 <= k < 500 else 1.0, 1.0, 1.0])
-        h = h - given * TICK_S
-        alarms.append(monitor.step(tuple(h.tolist()), tuple(command.tolist()), (True,) * 4))
-    named = np.array(alarms)
-    assert not named[:, [0, 2, 3]].any()
-    # 0.025 (1 - exp(-t)) = 0.01 at t = 0.51 s
-    assert np.flatnonzero(named[:, 1])[0] * TICK_S == pytest.approx(10.0 + 0.51, abs=0.1)
-    assert not named[-1, 1]
 
 
 def classify(signal: np.ndarray, noise: float = 1.5e-4) -> Classifier:

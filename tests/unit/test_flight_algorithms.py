@@ -4,27 +4,27 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
-from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 
 from bus.errors import ConfigError, StepSizeError
 from bus.units import Vec3, Vec4
 from fsw.allocators.pseudo_inverse import PseudoInverse, PseudoInverseConfig
-from fsw.controllers.braking_profile import BrakingProfile, BrakingProfileConfig, find_authority, spread_weighted
+from fsw.controllers.braking_profile import BrakingProfile, BrakingProfileConfig
 from fsw.controllers.smc import SlidingMode, SmcConfig
 from fsw.estimation.direct import Direct, DirectConfig
 from fsw.estimation.rotation import turn
-from fsw.guidance import HYSTERESIS_Q0, Guidance
-from fsw.observers.ilo import Ilo, IloConfig, invert_inertia, scale_gains
-from fsw.records import Sensors
-from fsw.vehicle import ModelConfig
-from fsw.wheel_geometry import D0_B_RW, combine_wheels, project_on_wheels, spread_on_wheels
+from fsw.guidance.guidance import HYSTERESIS_Q0, Guidance
+from fsw.observers.ilo import GAP_PERIODS, Ilo, IloConfig, scale_gains
+from fsw.records import HEALTHY, PointingError, Sensors, WheelHealth
+from fsw.vehicle import ModelConfig, Vehicle, invert_inertia
 
 J = ((45.0, 3.0, 2.0), (3.0, 38.0, -1.5), (2.0, -1.5, 50.0))
 MODEL = ModelConfig(inertia_kgm2=J)
+VEHICLE = Vehicle(MODEL)
 ZERO: Vec3 = (0.0, 0.0, 0.0)
 D0 = np.hstack([np.eye(3), np.full((3, 1), 1.0 / np.sqrt(3.0))])
 RNG = np.random.default_rng(7)
@@ -34,24 +34,18 @@ def random_vector(size: int, scale: float = 1.0) -> tuple[float, ...]:
     return tuple((scale * RNG.standard_normal(size)).tolist())
 
 
-# -- wheel axes ----------------------------------------------------------------------------------------------------
+# -- allocation ----------------------------------------------------------------------------------------------------
 
 
-def test_wheel_products_are_those_of_d0() -> None:
-    """Unrolled products equal numpy's with D0 of eq (5), and the spread is Moore and Penrose's."""
-    assert np.allclose(D0_B_RW, D0, atol=0.0, rtol=1e-15)
-    for _ in range(20):
-        four, three = random_vector(4), random_vector(3)
-        assert combine_wheels(four) == pytest.approx(D0 @ four, abs=1e-14)  # type: ignore[arg-type]
-        assert project_on_wheels(three) == pytest.approx(D0.T @ three, abs=1e-14)  # type: ignore[arg-type]
-        assert spread_on_wheels(three) == pytest.approx(np.linalg.pinv(D0) @ three, abs=1e-14)  # type: ignore[arg-type]
+def allocate(saturation: str, demand: Vec3) -> Vec4:
+    config = PseudoInverseConfig(kind="pseudo_inverse", saturation=saturation)  # type: ignore[arg-type]
+    return PseudoInverse(config, VEHICLE, 0.1).allocate(demand, HEALTHY).tau_rw_nm
 
 
 def test_direction_preserving_allocation_keeps_the_direction() -> None:
     """Scaled, not bent: the body torque is parallel to the demand and one wheel is at its limit; clipping bends it."""
     demand = (0.3, -0.2, 0.1)
-    keeping = PseudoInverse(PseudoInverseConfig(kind="pseudo_inverse", saturation="direction"), MODEL).allocate(demand)
-    clipping = PseudoInverse(PseudoInverseConfig(kind="pseudo_inverse", saturation="clip"), MODEL).allocate(demand)
+    keeping, clipping = allocate("direction", demand), allocate("clip", demand)
     assert max(map(abs, keeping)) == pytest.approx(0.1, rel=1e-12)
     assert np.linalg.norm(np.cross(D0 @ keeping, demand)) < 1e-15
     assert np.linalg.norm(np.cross(D0 @ clipping, demand)) > 1e-3
@@ -70,7 +64,7 @@ def test_inertia_inverse_is_numpys_and_refuses_nonsense() -> None:
 def test_observer_is_eqs_12_and_13_written_with_matrices() -> None:
     """Ten steps against the equations in numpy, wheel momentum included."""
     config = IloConfig(kind="ilo")
-    observer = Ilo(config, MODEL)
+    observer = Ilo(config, VEHICLE, config.period_s)
     w_hat, wt, v = None, np.zeros(3), np.zeros(3)
     for _ in range(10):
         w, tau, h = (np.array(random_vector(3, s)) for s in (0.02, 0.1, 0.5))
@@ -91,28 +85,58 @@ def test_observer_counts_wheel_momentum_only_when_told(wheel_momentum: bool) -> 
     model = replace(MODEL, wheel_momentum=wheel_momentum)
     results = []
     for h in (ZERO, (2.0, -1.0, 0.5)):
-        observer = Ilo(IloConfig(kind="ilo"), model)
+        observer = Ilo(IloConfig(kind="ilo"), Vehicle(model), 0.1)
         for _ in range(3):
             v = observer.step(0.1, (0.01, 0.02, -0.01), ZERO, h)
         results.append(v)
     assert (results[0] == results[1]) is not wheel_momentum
 
 
-@pytest.mark.parametrize("dt_s", [0.0, 0.0989, 0.1011, 0.01, math.nan])
-def test_observer_refuses_another_period(dt_s: float) -> None:
-    """Gains belong to a period: more than 1 % off, or not a number, is an error that names both periods."""
+@pytest.mark.parametrize("period_s", [0.0, 0.0989, 0.1011, 0.01, math.nan])
+def test_observer_refuses_another_period(period_s: float) -> None:
+    """Gains belong to a period: a control period more than 1 % off, or not a number, is refused, naming the gains' own."""
     with pytest.raises(StepSizeError, match=r"period_s = 0\.1 s"):
-        Ilo(IloConfig(kind="ilo"), MODEL).step(dt_s, ZERO, ZERO, ZERO)
+        Ilo(IloConfig(kind="ilo"), VEHICLE, period_s)
+    for near_s in (0.09901, 0.10099):
+        Ilo(IloConfig(kind="ilo"), VEHICLE, near_s)
 
 
-def test_observer_accepts_one_percent() -> None:
-    for dt_s in (0.09901, 0.10099):
-        assert Ilo(IloConfig(kind="ilo"), MODEL).step(dt_s, ZERO, ZERO, ZERO) == ZERO
+def fly_observer(observer: Ilo, steps_s: list[float]) -> list[Vec3]:
+    """Fault torques of the same signals sampled at the given steps."""
+    t_s, found = 0.0, []
+    for dt_s in steps_s:
+        t_s += dt_s
+        rate = (1e-3 * math.sin(t_s), 2e-3 * math.cos(0.7 * t_s), -5e-4 * t_s)
+        found.append(observer.step(dt_s, rate, (0.02, -0.01, 0.005), (0.3, -0.2, 0.1)))
+    return found
+
+
+@pytest.mark.parametrize("periods", [2, 3, 5])
+def test_observer_after_lost_ticks_is_one_of_the_longer_period(periods: int) -> None:
+    """A step over several periods gives what an observer made for that period gives, gains scaled; unscaled ones do not."""
+    long_s = 0.1 * periods
+    native = Ilo(scale_gains(IloConfig(kind="ilo"), long_s), VEHICLE, long_s)
+    stretched = Ilo(IloConfig(kind="ilo"), VEHICLE, 0.1)
+    unscaled = Ilo(replace(IloConfig(kind="ilo"), period_s=long_s), VEHICLE, long_s)
+    steps_s = [long_s] * 8
+    expected = np.array(fly_observer(native, steps_s))
+    assert np.array(fly_observer(stretched, steps_s)) == pytest.approx(expected, rel=1e-9)
+    assert np.abs(np.array(fly_observer(unscaled, steps_s)) - expected).max() > 0.01 * np.abs(expected).max()
+    assert stretched.internals.restarts == 0
+
+
+@pytest.mark.parametrize("dt_s", [0.1 * (GAP_PERIODS + 1.0), 0.0, -0.1, math.inf, math.nan])
+def test_observer_starts_afresh_after_a_long_gap(dt_s: float) -> None:
+    """Over more than GAP_PERIODS periods, or over no time at all, it takes the measured rate and reports no torque."""
+    observer = Ilo(IloConfig(kind="ilo"), VEHICLE, 0.1)
+    assert fly_observer(observer, [0.1] * 10)[-1] != ZERO
+    assert observer.step(dt_s, (0.01, 0.02, 0.03), (0.02, -0.01, 0.005), ZERO) == ZERO
+    assert observer.internals.omega_hat_b_rad_s == (0.01, 0.02, 0.03)
 
 
 def test_observer_starts_afresh_when_its_rate_is_lost() -> None:
     """A rate error beyond 1 rad/s restarts it from the measurement, with zero torque, and is counted."""
-    observer = Ilo(IloConfig(kind="ilo"), MODEL)
+    observer = Ilo(IloConfig(kind="ilo"), VEHICLE, 0.1)
     observer.step(0.1, ZERO, ZERO, ZERO)
     assert observer.step(0.1, (5.0, 0.0, 0.0), ZERO, ZERO) == ZERO
     assert observer.internals.restarts == 1
@@ -122,7 +146,7 @@ def test_observer_starts_afresh_when_its_rate_is_lost() -> None:
 def estimate_step(config: IloConfig, until_s: float) -> tuple[np.ndarray, np.ndarray]:
     """Response of v_x to a torque of 0.02 N m about x that starts at 0, on a body with J = 37 kg m^2."""
     model = ModelConfig(inertia_kgm2=((37.0, 0.0, 0.0), (0.0, 37.0, 0.0), (0.0, 0.0, 37.0)), wheel_momentum=False)
-    observer = Ilo(config, model)
+    observer = Ilo(config, Vehicle(model), config.period_s)
     t = np.arange(round(until_s / config.period_s)) * config.period_s
     return t, np.array([observer.step(config.period_s, (0.02 / 37.0 * s, 0.0, 0.0), ZERO, ZERO)[0] for s in t])
 
@@ -171,7 +195,7 @@ def test_scaling_handles_its_ends() -> None:
 def test_noise_budget() -> None:
     """White rate noise of sigma a sample gives about 110 sigma N m on each axis of v at T = 0.1 s."""
     rng = np.random.default_rng(110)
-    observer = Ilo(IloConfig(kind="ilo"), MODEL)
+    observer = Ilo(IloConfig(kind="ilo"), VEHICLE, 0.1)
     noise = (1e-5 * rng.standard_normal((20000, 3))).tolist()
     v = np.array([observer.step(0.1, tuple(w), ZERO, ZERO) for w in noise])
     assert v[100:].std(axis=0) == pytest.approx(1.1e-3 * np.ones(3), rel=0.1)
@@ -183,10 +207,11 @@ def test_noise_budget() -> None:
 @pytest.mark.parametrize(("law", "factor"), [("published", 1.0), ("lyapunov", 4.0)])
 def test_sliding_mode_step_by_hand(law: str, factor: float) -> None:
     """One step against (33)-(35) in numpy, both denominators."""
-    controller = SlidingMode(SmcConfig(kind="smc", beta_law=law), MODEL)  # type: ignore[arg-type]
+    controller = SlidingMode(SmcConfig(kind="smc", beta_law=law), VEHICLE, 0.1)  # type: ignore[arg-type]
     q0, q, w, v = 0.8, np.array([0.36, -0.48, 0.0]), np.array([0.01, -0.02, 0.005]), np.array([0.01, 0.0, -0.02])
     s = w + 0.16 * q
-    tau = controller.step(0.1, (q0, *q.tolist()), tuple(w.tolist()), tuple(v.tolist())).tau_cmd_b_nm
+    error = PointingError((q0, *q.tolist()), tuple(w.tolist()))  # type: ignore[arg-type]
+    tau = controller.step(0.1, error, tuple(v.tolist()), HEALTHY)
     assert tau == pytest.approx(-5.6 * (s + v / 5.6))
     rate = -(0.4 * q @ s - 5.6 * 0.4 * w @ q) / (2.0 + 4.0 - factor * q0)
     assert controller.internals.beta == pytest.approx(0.4 + 0.1 * rate)
@@ -195,80 +220,37 @@ def test_sliding_mode_step_by_hand(law: str, factor: float) -> None:
 # -- braking profile -----------------------------------------------------------------------------------------------
 
 
-def solve_authority(t: Vec3, limit: Vec4) -> float:
-    """max m with D0 y = m t and |y_i| <= limit_i, by linear programming."""
-    result = linprog(
-        [-1.0, 0.0, 0.0, 0.0, 0.0],
-        A_eq=np.hstack([-np.array(t)[:, None], D0]),
-        b_eq=np.zeros(3),
-        bounds=[(0.0, None), *((-x, x) for x in limit)],
-    )
-    return float(result.x[0])
-
-
-def test_authority_is_the_linear_programs() -> None:
-    """The closed form against scipy's linear programming, for full and for weak wheels; and after the worst loss."""
-    for _ in range(60):
-        t = random_vector(3)
-        limit: Vec4 = tuple(RNG.uniform(0.0, 0.1, 4).tolist())  # type: ignore[assignment]
-        full, worst = find_authority(t, limit)  # type: ignore[arg-type]
-        assert full == pytest.approx(solve_authority(t, limit), rel=1e-6, abs=1e-9)  # type: ignore[arg-type]
-        losses = [tuple(0.0 if j == i else x for j, x in enumerate(limit)) for i in range(4)]
-        assert worst == pytest.approx(min(solve_authority(t, loss) for loss in losses), rel=1e-6, abs=1e-9)  # type: ignore[arg-type]
-
-
-def test_weighted_spread_is_the_least_squares_one() -> None:
-    """D0 diag(c) u = torque with least |u|: numpy's pseudo-inverse of D0 diag(c)."""
-    for _ in range(30):
-        share: Vec4 = tuple(RNG.uniform(0.15, 1.0, 4).tolist())  # type: ignore[assignment]
-        torque = random_vector(3)
-        expected = np.linalg.pinv(D0 @ np.diag(share)) @ torque
-        assert spread_weighted(torque, share) == pytest.approx(expected, rel=1e-9)  # type: ignore[arg-type]
-
-
 def test_profile_stops_at_the_target_within_its_deceleration() -> None:
     """Along the profile, theta' = -f(theta): f f' is the planned deceleration, at most eta times the authority.
 
     f' is checked against the difference quotient of f, which rises with the angle and is zero at the target.
     """
     config = BrakingProfileConfig(kind="braking_profile")
-    law = BrakingProfile(config, MODEL)
+    law = BrakingProfile(config, VEHICLE, 0.1)
     axis = (0.48, 0.6, 0.64)
-    authority = find_authority(tuple((np.array(J) @ axis).tolist()), (0.1, 0.1, 0.1, 0.1))
+    authority = VEHICLE.wheels.find_authority(tuple((np.array(J) @ axis).tolist()), VEHICLE.wheels.max_torque_nm)
     a = (1.0 - config.reserve) * authority[0] + config.reserve * authority[1]
     angles = np.linspace(0.0, math.pi, 20001)
-    rates, slopes = np.array([law._plan(float(theta), axis) for theta in angles]).T
+    rates, slopes = np.array([law._plan(float(theta), axis, HEALTHY) for theta in angles]).T
     assert rates[0] == 0.0
     assert np.all(np.diff(rates) > 0.0)
     assert np.all(rates * slopes <= a * config.eta * (1.0 + 1e-9))
     assert slopes[1:-1] == pytest.approx(np.gradient(rates, angles)[1:-1], rel=5e-3)
 
 
-def test_learnt_shares_are_the_true_ones() -> None:
-    """Fed with the exact fault torque of known shares under rich commands, the law finds the shares."""
-    true = np.array([0.4, 1.0, 0.75, 0.0])
-    law = BrakingProfile(replace(BrakingProfileConfig(kind="braking_profile"), observer_lag_s=1e-3), MODEL)
-    v = np.zeros(3)
-    for k in range(400):
-        omega = (0.05 * math.sin(0.3 * k), 0.05 * math.sin(0.37 * k + 1.0), 0.05 * math.sin(0.23 * k + 2.0))
-        demand = law.step(0.1, (0.9999, 0.01, -0.005, 0.008), omega, tuple(v.tolist()))
-        v = D0 @ ((true - 1.0) * np.array(demand.tau_rw_nm))
-    assert law.internals.effectiveness == pytest.approx(true, abs=0.05)
-
-
 def test_profile_shrinks_when_wheels_are_lost() -> None:
-    """A reported shortfall of half the torque along the commands lowers the planned rate at the same angle."""
-    law = BrakingProfile(BrakingProfileConfig(kind="braking_profile"), MODEL)
-    q_err = (math.cos(0.5), math.sin(0.5) * 0.6, math.sin(0.5) * 0.8, 0.0)
-    demand = law.step(0.1, q_err, ZERO, ZERO)
-    healthy = law.internals.profile_rad_s
-    for _ in range(20):
-        v = tuple(-0.5 * x for x in demand.tau_cmd_b_nm)
-        demand = law.step(0.1, q_err, ZERO, v)  # type: ignore[arg-type]
-    assert law.internals.profile_rad_s < 0.85 * healthy
-    law.reset()
-    law.step(0.1, q_err, ZERO, ZERO)
-    assert law.internals.profile_rad_s == healthy
+    """Wheels thought to give half as much lower the planned rate at the same angle by 1/sqrt(2); adapt off: not at all."""
+    error = PointingError((math.cos(0.5), math.sin(0.5) * 0.6, math.sin(0.5) * 0.8, 0.0), ZERO)
+    weak = WheelHealth((0.5, 0.5, 0.5, 0.5))
+    for adapt, part in ((True, math.sqrt(0.5)), (False, 1.0)):
+        law = BrakingProfile(BrakingProfileConfig(kind="braking_profile", adapt=adapt, k_theta=20.0), VEHICLE, 0.1)
+        rates = []
+        for health in (HEALTHY, weak, HEALTHY):
+            law.step(0.1, error, ZERO, health)
+            rates.append(law.internals.profile_rad_s)
+        # k_theta is so large that the linear part is negligible: the rate goes as the root of the deceleration.
+        assert rates[1] == pytest.approx(part * rates[0], rel=1e-3)
+        assert rates[2] == rates[0]
 
 
 # -- guidance ------------------------------------------------------------------------------------------------------
@@ -284,7 +266,7 @@ def test_error_quaternion_is_scipys() -> None:
     for seed in range(20):
         target, body = Rotation.random(2, random_state=seed)
         scaled = tuple(3.0 * x for x in from_scipy(target))
-        error = Guidance(scaled).find_error(from_scipy(body))  # type: ignore[arg-type]
+        error = Guidance(scaled).find_error(from_scipy(body), ZERO).q_tb  # type: ignore[arg-type]
         expected = np.array(from_scipy(target.inv() * body))
         assert error == pytest.approx(expected * math.copysign(1.0, expected[0]), abs=1e-12)
 
@@ -296,13 +278,13 @@ def test_error_sign_has_hysteresis() -> None:
     def q_of(q0: float) -> Vec4:
         return (q0, math.sqrt(1.0 - q0 * q0), 0.0, 0.0)
 
-    assert guidance.find_error(q_of(0.02))[1] > 0.0
+    assert guidance.find_error(q_of(0.02), ZERO).q_tb[1] > 0.0
     for k in range(50):
-        assert guidance.find_error(q_of(0.05 * (-1) ** k))[1] > 0.0
-    assert guidance.find_error(q_of(-HYSTERESIS_Q0 - 0.01))[1] < 0.0
-    assert guidance.find_error(q_of(0.05))[1] < 0.0
+        assert guidance.find_error(q_of(0.05 * (-1) ** k), ZERO).q_tb[1] > 0.0
+    assert guidance.find_error(q_of(-HYSTERESIS_Q0 - 0.01), ZERO).q_tb[1] < 0.0
+    assert guidance.find_error(q_of(0.05), ZERO).q_tb[1] < 0.0
     guidance.reset()
-    assert guidance.find_error(q_of(0.05))[1] > 0.0
+    assert guidance.find_error(q_of(0.05), ZERO).q_tb[1] > 0.0
 
 
 def test_zero_target_is_refused() -> None:
@@ -313,13 +295,9 @@ def test_zero_target_is_refused() -> None:
 # -- direct estimator ----------------------------------------------------------------------------------------------
 
 
-def make_sensors(tick: int, q: Vec4, omega: Vec3, **changes: object) -> Sensors:
-    sensors = Sensors(
-        tick=tick, t_s=0.1 * tick, omega_meas_b_rad_s=omega, gyro_valid=(True, True, True), q_ib_meas=q, star_new=True,
-        star_valid=True, star_age_s=0.0, wheel_speed_rad_s=(0.0, 0.0, 0.0, 0.0), wheel_valid=(True, True, True, True),
-        h_rw_nms=(0.0, 0.0, 0.0, 0.0),
-    )  # fmt: skip
-    return sensors._replace(**changes)
+def make_sensors(tick: int, q: Vec4, omega: Vec3, **changes: Any) -> Sensors:
+    settings = {"star_new": True, "star_valid": True} | changes
+    return Sensors(tick=tick, t_s=0.1 * tick, omega_meas_b_rad_s=omega, q_ib_meas=q, **settings)
 
 
 @pytest.mark.parametrize("rate", [0.0, 1e-7, 1e-3, 0.02, 1.0, 5.0])
@@ -335,7 +313,7 @@ def test_turn_is_scipys(rate: float) -> None:
 def test_fresh_attitude_passes_digit_for_digit() -> None:
     """Ideal sensors, age zero: the estimate is the measurement, bit for bit, and valid."""
     q = (0.8510644963469901, 0.25031308716087947, -0.30037570459305535, 0.35043832202523123)
-    estimate = Direct(DirectConfig(kind="direct"), MODEL).step(make_sensors(0, q, (0.01, 0.02, 0.03)))
+    estimate = Direct(DirectConfig(kind="direct"), VEHICLE, 0.1).step(make_sensors(0, q, (0.01, 0.02, 0.03)))
     assert estimate.q_ib == q
     assert estimate.valid
 
@@ -343,7 +321,7 @@ def test_fresh_attitude_passes_digit_for_digit() -> None:
 def test_attitude_is_carried_between_and_over_age() -> None:
     """Under constant rate, star tracker at 1 Hz and 0.05 s old: the estimate is the true attitude on every tick."""
     omega = (0.02, -0.03, 0.01)
-    estimator = Direct(DirectConfig(kind="direct"), MODEL)
+    estimator = Direct(DirectConfig(kind="direct"), VEHICLE, 0.1)
     for tick in range(40):
         true = Rotation.from_rotvec(np.array(omega) * 0.1 * tick)
         old = Rotation.from_rotvec(np.array(omega) * (0.1 * tick - 0.05))
@@ -355,7 +333,7 @@ def test_attitude_is_carried_between_and_over_age() -> None:
 def test_direct_estimate_is_invalid_without_its_sensors() -> None:
     """Before the first attitude, with a stale star tracker, or with a bad gyro axis: not fit for pointing."""
     q = (1.0, 0.0, 0.0, 0.0)
-    estimator = Direct(DirectConfig(kind="direct"), MODEL)
+    estimator = Direct(DirectConfig(kind="direct"), VEHICLE, 0.1)
     assert not estimator.step(make_sensors(0, q, ZERO, star_new=False)).valid
     assert estimator.step(make_sensors(1, q, ZERO)).valid
     assert not estimator.step(make_sensors(2, q, ZERO, star_new=False, star_valid=False)).valid

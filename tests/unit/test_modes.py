@@ -7,6 +7,7 @@ import pytest
 from bus.units import DEG
 from fsw.modes import Mode, ModeManager, ModesConfig
 
+TICK_S = 0.1
 STILL = (0.0, 0.0, 0.0)
 SPINNING = (6.0 * DEG, 0.0, 0.0)
 SLOW = (1.9 * DEG, 0.0, 0.0)
@@ -14,7 +15,7 @@ SLOW = (1.9 * DEG, 0.0, 0.0)
 
 def test_boot_goes_to_point_once_the_sensors_are_good() -> None:
     """Standby is left on the first cycle with good sensors, not before."""
-    modes = ModeManager(ModesConfig())
+    modes = ModeManager(ModesConfig(), TICK_S)
     assert modes.step(False, True, STILL, False) is Mode.STANDBY
     assert modes.step(True, False, STILL, False) is Mode.STANDBY
     assert modes.step(True, True, STILL, False) is Mode.POINT
@@ -24,7 +25,7 @@ def test_boot_goes_to_point_once_the_sensors_are_good() -> None:
 
 def test_high_rate_is_damped_before_pointing_with_hysteresis() -> None:
     """Above 5 deg/s detumble; back to point only below 2 deg/s."""
-    modes = ModeManager(ModesConfig())
+    modes = ModeManager(ModesConfig(), TICK_S)
     assert modes.step(True, True, SPINNING, False) is Mode.DETUMBLE
     assert modes.step(True, True, (3.0 * DEG, 0.0, 0.0), False) is Mode.DETUMBLE
     assert modes.step(True, True, SLOW, False) is Mode.POINT
@@ -41,19 +42,23 @@ def test_high_rate_is_damped_before_pointing_with_hysteresis() -> None:
     ],
 )
 @pytest.mark.parametrize("start", [STILL, SPINNING])
-def test_losing_what_pointing_needs_is_safe_mode(
+def test_losing_what_a_mode_needs_is_safe_mode(
     attitude: bool, rate: bool, request_safe: bool, reason: str, start: tuple[float, float, float]
 ) -> None:
-    """From point and from detumble, each loss leads to safe, and the reason is kept."""
-    modes = ModeManager(ModesConfig())
+    """From point and from detumble, each loss leads to safe and the reason is kept; detumble needs no attitude."""
+    modes = ModeManager(ModesConfig(), TICK_S)
     modes.step(True, True, start, False)
-    assert modes.step(attitude, rate, start, request_safe) is Mode.SAFE
-    assert modes.reason == reason
+    mode = modes.step(attitude, rate, start, request_safe)
+    if start is SPINNING and not attitude:
+        assert mode is Mode.DETUMBLE
+    else:
+        assert mode is Mode.SAFE
+        assert modes.reason == reason
 
 
 def test_safe_is_left_only_after_the_sensors_were_good_for_a_while() -> None:
     """recover_after_ticks good ticks in a row; one bad one starts the count again."""
-    modes = ModeManager(ModesConfig(recover_after_ticks=3))
+    modes = ModeManager(ModesConfig(recover_after_ticks=3), TICK_S)
     modes.step(True, True, STILL, False)
     modes.step(False, True, STILL, False)
     modes.step(True, True, STILL, False)
@@ -70,7 +75,7 @@ def test_safe_is_left_only_after_the_sensors_were_good_for_a_while() -> None:
 )
 def test_the_initial_mode_is_kept(initial: str, mode: Mode) -> None:
     """A run that is to stay in one mode stays there while the sensors are good and the rate is low."""
-    modes = ModeManager(ModesConfig(initial=initial, recover_after_ticks=1))  # type: ignore[arg-type]
+    modes = ModeManager(ModesConfig(initial=initial, recover_after_ticks=1), TICK_S)  # type: ignore[arg-type]
     for _ in range(5):
         state = modes.step(True, True, STILL, False)
     assert state is mode
@@ -78,7 +83,69 @@ def test_the_initial_mode_is_kept(initial: str, mode: Mode) -> None:
 
 def test_safe_request_in_standby() -> None:
     """Even before the sensors are good, a request for safe mode is obeyed."""
-    modes = ModeManager(ModesConfig())
+    modes = ModeManager(ModesConfig(), TICK_S)
     assert modes.step(False, False, STILL, True) is Mode.SAFE
     modes.reset()
     assert modes.mode is Mode.STANDBY
+
+
+@pytest.mark.parametrize(
+    ("initial", "damping"), [("point", Mode.DETUMBLE), ("detumble", Mode.DETUMBLE), ("safe", Mode.SAFE)]
+)
+def test_a_good_rate_alone_leads_to_damping_at_once_when_it_is_high(initial: str, damping: Mode) -> None:
+    """A star tracker that is blind at speed must not keep the satellite from being slowed down."""
+    modes = ModeManager(ModesConfig(initial=initial), TICK_S)  # type: ignore[arg-type]
+    assert modes.step(False, False, SPINNING, False) is Mode.STANDBY
+    assert modes.waits_for == "a rate from the gyro"
+    assert modes.step(False, True, SPINNING, False) is damping
+    assert modes.reason == "rate good, no attitude yet"
+
+
+@pytest.mark.parametrize(
+    ("initial", "damping"), [("point", Mode.DETUMBLE), ("detumble", Mode.DETUMBLE), ("safe", Mode.SAFE)]
+)
+def test_a_good_rate_alone_leads_to_damping_after_a_while_when_it_is_low(initial: str, damping: Mode) -> None:
+    """Without an attitude for star_stale_after_s in a row; a bad rate in between starts the wait again."""
+    modes = ModeManager(ModesConfig(initial=initial, star_stale_after_s=1.0), TICK_S)  # type: ignore[arg-type]
+    for _ in range(9):
+        assert modes.step(False, True, STILL, False) is Mode.STANDBY
+        assert modes.waits_for == "an attitude from the star tracker"
+    modes.step(False, False, STILL, False)
+    for _ in range(9):
+        assert modes.step(False, True, STILL, False) is Mode.STANDBY
+    assert modes.step(False, True, STILL, False) is damping
+    assert modes.waits_for == ""
+
+
+def test_standby_to_stay_in_is_not_left_for_damping() -> None:
+    """`initial: standby` asks for no torque, whatever the rate, and waits for nothing."""
+    modes = ModeManager(ModesConfig(initial="standby"), TICK_S)
+    for _ in range(100):
+        assert modes.step(False, True, SPINNING, False) is Mode.STANDBY
+        assert modes.waits_for == ""
+
+
+def test_every_wait_is_named() -> None:
+    """Detumble waits for the rate, then for an attitude; safe for the rate, the attitude, the request, and the count."""
+    modes = ModeManager(ModesConfig(recover_after_ticks=3), TICK_S)
+    modes.step(False, True, SPINNING, False)
+    modes.step(False, True, SPINNING, False)
+    assert (modes.mode, modes.waits_for) == (Mode.DETUMBLE, "the rate to fall")
+    modes.step(False, True, SLOW, False)
+    assert (modes.mode, modes.waits_for) == (Mode.DETUMBLE, "an attitude from the star tracker")
+    modes.step(False, False, SLOW, False)
+    assert (modes.mode, modes.waits_for) == (Mode.SAFE, "")
+    waits = [(False, False, False), (False, True, False), (True, True, True), (True, True, False)]
+    said = []
+    for attitude, rate, request_safe in waits:
+        modes.step(attitude, rate, SLOW, request_safe)
+        said.append(modes.waits_for)
+    assert said == [
+        "a rate from the gyro",
+        "an attitude from the star tracker",
+        "the request for safe mode to end",
+        "the sensors to stay good",
+    ]
+    modes.step(True, True, SLOW, False)
+    modes.step(True, True, SLOW, False)
+    assert (modes.mode, modes.waits_for) == (Mode.STANDBY, "")
