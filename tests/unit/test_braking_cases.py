@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 
-from tools.design.braking_cases import Conditions, draw_case, fly, read_cases
+from tools.design.braking_cases import Conditions, draw_case, fly, make_healthy, read_cases
 from tools.design.braking_study import FIRST_FRESH, LAWS, Ratio, find_ratios, summarise
 
 
@@ -38,8 +37,7 @@ def test_flight_agrees_with_an_independent_integration() -> None:
 def test_faults_and_tilts_reach_the_plant() -> None:
     """Without them the published case settles far sooner: at the time of the reference's row for healthy aligned wheels."""
     case = read_cases()[0]
-    healthy = replace(case, faults=(), tilt_deg=(0.0,) * 4, clock_deg=(0.0,) * 4)
-    assert fly(healthy, LAWS["smc"], Conditions(step_s=0.01))[1.0] == pytest.approx(64.1, abs=0.15)
+    assert fly(make_healthy(case), LAWS["smc"], Conditions(step_s=0.01))[1.0] == pytest.approx(64.1, abs=0.15)
 
 
 @pytest.mark.parametrize(("until_s", "expected"), [(60.0, None), (75.0, None), (90.0, 69.1)])

@@ -186,6 +186,12 @@ def read_cases(path: Path = CASES_FILE) -> list[Case]:
     return [parse_case(entry) for entry in json.loads(path.read_text())]
 
 
+def make_healthy(case: Case) -> Case:
+    """Return a case's start with wheels that are aligned and never fail, without optimum."""
+    none = (0.0, 0.0, 0.0, 0.0)
+    return replace(case, id="healthy", tilt_deg=none, clock_deg=none, faults=(), optimum_s=math.nan)
+
+
 def parse_case(entry: dict[str, Any]) -> Case:
     """Return one case from its JSON object."""
     faults = tuple(Fault(**fault) for fault in entry["faults"])

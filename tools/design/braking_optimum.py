@@ -3,6 +3,7 @@
     pip install casadi
     python -m tools.design.braking_optimum                  every case of the file against its stored value
     python -m tools.design.braking_optimum random-03
+    python -m tools.design.braking_optimum healthy          the published start, wheels aligned and healthy
 
 Direct multiple shooting: 200 intervals of one RK4 step, wheel torques constant over an interval and within 0.1 N m,
 free end time, solved by IPOPT from two guesses of the end time; fault edges smoothed over 0.15 s. A local optimum, so a
@@ -18,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from tools.design.braking_cases import INERTIA_KGM2, Case, find_axes, read_cases
+from tools.design.braking_cases import INERTIA_KGM2, Case, find_axes, make_healthy, read_cases
 
 INTERVALS = 200
 EDGE_S = 0.15
@@ -104,7 +105,8 @@ def main(names: list[str]) -> int:
     except ImportError:
         print("this script needs CasADi: pip install casadi", file=sys.stderr)
         return 2
-    for case in read_cases():
+    cases = read_cases()
+    for case in [*cases, make_healthy(cases[0])]:
         if not names or case.id in names:
             print(f"{case.id:12s} found {find_optimum(case, ca):7.3f} s  stored {case.optimum_s:7.3f} s", flush=True)
     return 0

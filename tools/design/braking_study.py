@@ -4,6 +4,7 @@
     python -m tools.design.braking_study --law adaptive --degraded
     python -m tools.design.braking_study --law adaptive --cases
     python -m tools.design.braking_study --law smc --until 900
+    python -m tools.design.braking_study --healthy           the published start with healthy aligned wheels
 
 Settling is the last time the error exceeds 1 degree, on the bench, through CAN frames. A run that has not settled when it
 is no longer watched (--until) has no settling time: it is counted, and is in no mean. The ratio can be below 1: the optimum
@@ -15,16 +16,17 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
+from fsw.allocators.pseudo_inverse import PseudoInverseConfig
 from fsw.allocators.transpose import TransposeConfig
 from fsw.controllers.braking_profile import BrakingProfileConfig
 from fsw.controllers.smc import SmcConfig
 from fsw.controllers.variable_structure import VariableStructureConfig
 from fsw.observers.none import NoObserverConfig
 from fsw.wheel_health.share_learner import ShareLearnerConfig
-from tools.design.braking_cases import UNTIL_S, Case, Conditions, Law, fly, read_cases
+from tools.design.braking_cases import UNTIL_S, Case, Conditions, Law, fly, make_healthy, read_cases
 
 GROUPS = ("zhang2018", "given", "random, seen", "random, fresh")
 FIRST_FRESH = 88  # drawn and solved after the settings were fixed; the ones before were in view while they were chosen
@@ -33,6 +35,15 @@ ADAPTIVE = BrakingProfileConfig(kind="braking_profile")
 
 LAWS: dict[str, Law] = {
     "adaptive": Law(controller=ADAPTIVE, wheel_health=ShareLearnerConfig(kind="share_learner")),
+    "bold": Law(  # plans on 0.9 of what the wheels give, near and far, and on no further loss
+        controller=replace(ADAPTIVE, eta_far=ADAPTIVE.eta, reserve=0.0),
+        wheel_health=ShareLearnerConfig(kind="share_learner"),
+    ),
+    "direction": Law(  # a torque past the wheels' limits is scaled as a whole
+        controller=ADAPTIVE,
+        wheel_health=ShareLearnerConfig(kind="share_learner"),
+        allocator=PseudoInverseConfig(kind="pseudo_inverse", saturation="direction"),
+    ),
     "fixed": Law(controller=replace(ADAPTIVE, adapt=False, eta=0.8, k_theta=0.35, k_s=1.2)),
     "smc": Law(controller=SmcConfig(kind="smc")),
     "lyapunov": Law(controller=SmcConfig(kind="smc", beta_law="lyapunov")),
@@ -42,6 +53,9 @@ LAWS: dict[str, Law] = {
         allocator=TransposeConfig(kind="transpose"),
     ),
 }
+
+TABLE = ("adaptive", "fixed", "variable_structure", "smc", "lyapunov")
+HEALTHY_OPTIMUM_S = 33.9  # python -m tools.design.braking_optimum healthy
 
 DEGRADED: dict[str, Conditions] = {
     "ideal, 10 Hz": Conditions(),
@@ -104,6 +118,14 @@ def _list_cases(cases: Sequence[Case], ratios: Sequence[Ratio], until_s: float) 
         print(f"{case.id:12s} optimum {case.optimum_s:6.2f} s  {outcome}")
 
 
+def _show_healthy(laws: Iterable[str], until_s: float) -> int:
+    case = replace(make_healthy(read_cases()[0]), optimum_s=HEALTHY_OPTIMUM_S)
+    for name in laws:
+        print(f"{name}: ", end="")
+        _list_cases([case], find_ratios(LAWS[name], [case], Conditions(until_s=until_s)), until_s)
+    return 0
+
+
 def main(arguments: list[str]) -> int:
     """Print the table on stdout; 0 when done."""
     parser = argparse.ArgumentParser(prog="braking_study", description=__doc__.splitlines()[0] if __doc__ else None)
@@ -112,11 +134,14 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--cases", action="store_true", help="one line a case")
     parser.add_argument("--every", type=int, default=1, metavar="N", help="only every n-th case")
     parser.add_argument("--until", type=float, default=UNTIL_S, metavar="S", help="how long a run is watched [s]")
+    parser.add_argument("--healthy", action="store_true", help="only the published start, with healthy aligned wheels")
     options = parser.parse_args(arguments)
+    if options.healthy:
+        return _show_healthy(options.law or LAWS, options.until)
     cases = read_cases()[:: options.every]
     print("| law | " + " | ".join(GROUPS) + " |")
     print("|---" * (1 + len(GROUPS)) + "|")
-    for name in options.law or LAWS:
+    for name in options.law or TABLE:
         for condition, conditions in DEGRADED.items() if options.degraded else [("ideal, 10 Hz", Conditions())]:
             ratios = find_ratios(LAWS[name], cases, replace(conditions, until_s=options.until))
             print(summarise(f"{name}, {condition}", cases, ratios, options.until), flush=True)
