@@ -7,6 +7,7 @@ none, and fail where HILSAT_REQUIRE_VCAN=1 says that the run was started for the
 from __future__ import annotations
 
 import os
+import signal
 
 import pytest
 from hypothesis import settings
@@ -17,6 +18,10 @@ from bus.wire.can_link import find_link, kernel_has_can
 settings.register_profile("fresh", deadline=None)
 settings.register_profile("same", deadline=None, derandomize=True)
 settings.load_profile("same" if os.environ.get("CI") else "fresh")
+
+
+# A shell starts what it puts in the background with SIGINT ignored, and children inherit that: no Ctrl-C would reach them.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def leave_out(reason: str) -> None:

@@ -212,7 +212,10 @@ class TestHilsatBus:
                     host.serve(0.02)
                 time.sleep(0.5)  # what it has read it writes
                 logger.send_signal(signal.SIGINT)  # its file is written through when it ends
-                assert logger.wait(20.0) == 0
+                try:
+                    assert logger.wait(20.0) == 0
+                finally:
+                    logger.kill()
         lines = log.read_text().splitlines()
         assert [line.split()[2] for line in lines] == [f"{0x100 + number:03X}#AB00" for number in range(20)]
 
