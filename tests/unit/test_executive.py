@@ -155,7 +155,7 @@ def test_a_hanging_cycle_is_bitten() -> None:
 
 
 def test_rate_groups_run_on_their_ticks() -> None:
-    """A divider of 10 with phase 0 runs on ticks 0, 10, 20, each time told that 10 ticks have passed; phase 3 on 3, 13, 23."""
+    """A divider of 10 with phase 0 runs on ticks 0, 10, 20, each time told that 10 have passed; phase 3 on 3, 13, 23."""
     control, _ = flight_schedule(10).open_slots()
     shifted = Slot(RateGroup("shifted", 10, 3))
     assert [(tick, ticks) for tick in range(25) if (ticks := control.take(tick))] == [(0, 10), (10, 10), (20, 10)]

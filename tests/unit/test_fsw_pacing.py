@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from typing import Any
 
@@ -290,7 +291,7 @@ def test_words_about_missed_deadlines_come_once_a_second() -> None:
     told = [event for event in log.events if "deadlines missed" in event["message"]]
     times = [event["timestamp"]["sec"] + event["timestamp"]["nsec"] * 1e-9 for event in told]
     assert len(told) >= 4
-    assert min(b - a for a, b in zip(times, times[1:], strict=False)) > 0.9
+    assert min(b - a for a, b in itertools.pairwise(times)) > 0.9
     missed = [int(event["message"].split()[0]) for event in told]
     assert sum(missed) == int(told[-1]["message"].split("so far ")[1].split()[0])
     assert max(missed) > 1
@@ -298,7 +299,7 @@ def test_words_about_missed_deadlines_come_once_a_second() -> None:
 
 def test_endless_slips_end_the_run() -> None:
     """More than the limit in a row is an error by name."""
-    bed, _, loop = pace("skip", dict.fromkeys(range(60), 2.2), limit=10)
+    _, _, loop = pace("skip", dict.fromkeys(range(60), 2.2), limit=10)
     with pytest.raises(DeadlineError, match="11 deadlines missed in a row"):
         loop.run()
 

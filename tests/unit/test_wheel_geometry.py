@@ -48,7 +48,7 @@ def test_products_are_numpys(number: int) -> None:
 
 @pytest.mark.parametrize("lost", [None, 0, 1, 2, 3])
 def test_weighted_spread_is_the_least_squares_one(lost: int | None) -> None:
-    """D0 diag(c) u = torque with least |u|: numpy's lstsq of D0 diag(c), with weak wheels and with one that gives nothing."""
+    """D0 diag(c) u = torque with least |u|: numpy's lstsq, with weak wheels and with one that gives nothing."""
     for _ in range(20):
         axes, torque = make_axes(), draw(3)
         share = RNG.uniform(0.15, 1.0, 4)
