@@ -52,6 +52,7 @@ REACH: dict[str, Reach] = {
     "deg": Reach(1e-9, 1e6),
     "arcsec": Reach(1e-9, 1e6),
     "deg/s": Reach(1e-9, 1e6),
+    "deg/s^2": Reach(1e-12, 1e6),
     "rad/s": Reach(1e-12, 1e4),
     "rad/s^2": Reach(1e-15, 1e4),
     "N m": Reach(1e-12, 1e4),

@@ -20,8 +20,10 @@ settings.register_profile("same", deadline=None, derandomize=True)
 settings.load_profile("same" if os.environ.get("CI") else "fresh")
 
 
-# A shell starts what it puts in the background with SIGINT ignored, and children inherit that: no Ctrl-C would reach them.
+# A shell starts what it puts in the background with SIGINT ignored, nohup with SIGHUP, and children inherit that: they would
+# not hear what tests send them.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 def leave_out(reason: str) -> None:

@@ -18,7 +18,7 @@ import pytest
 from bus.icd.codec import encode_CYCLE_DONE, encode_rw_cmds
 from bus.icd.messages import IDS, dbc_path
 from bus.settings import build
-from plant_server.channel import PlantServer
+from plant_server.channel import Channel
 from plant_server.config import PlantConfig
 from plant_server.plant import Plant
 
@@ -42,7 +42,7 @@ class Rig:
             "star_tracker": {"rate_hz": 10.0, **settings.pop("star_tracker", {})},
             **settings,
         }
-        self.server = PlantServer(Plant(build(PlantConfig, data, "test"), (), TICK_S, 1), TICK_S, 1)
+        self.server = Channel(Plant(build(PlantConfig, data, "test"), (), TICK_S, 1), TICK_S, 1)
 
     def tick(self, torque_nm: tuple[float, ...] = (), mode: int = TORQUE, behind: int = 0) -> Frames:
         """What the units say at this tick, after which the wheels get these commands (none: no frames)."""

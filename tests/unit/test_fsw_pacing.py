@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import itertools
+import os
+import weakref
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -20,7 +23,6 @@ from fsw.pacing import LockStep, RealTime
 from fsw.telemetry import SOURCE
 from tools.log.mcap_reader import Run, read_run
 from tools.log.recorder import Recorder
-from tools.run.bench import make_memory_file
 
 TICK_NS = 100_000_000
 TICK_S = 0.1
@@ -94,7 +96,9 @@ class Bed:
 
     def __init__(self, *commands: Command) -> None:
         self.clock = HandClock()
-        self.path = make_memory_file()
+        fd = os.memfd_create("bed.mcap")
+        weakref.finalize(self, os.close, fd)
+        self.path = Path(f"/proc/self/fd/{fd}")
         self.recorder = Recorder(self.path, metadata={}, sources=[SOURCE])
         self.link = self.recorder.link(SOURCE)
         self.flight = Flight(CONFIG, TICK_S, RUN_HASH)

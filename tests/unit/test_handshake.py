@@ -7,14 +7,16 @@ import time
 
 import pytest
 
+from bus.clock import SystemClock
 from bus.errors import PeerLostError, UsageError
 from bus.icd.codec import DECODERS, encode_HEARTBEAT_FSW, encode_HEARTBEAT_PLANT
-from bus.icd.heartbeat import BOOT, FAILED, OPERATIONAL, PRE_OPERATIONAL, STOPPED, PeerHeartbeat, find_heartbeats
+from bus.icd.e2e import Link
+from bus.icd.heartbeat import BOOT, OPERATIONAL, PRE_OPERATIONAL, STOPPED, find_heartbeats
 from bus.settings import build
 from bus.wire.memory import MemoryTransport
 from fsw.handshake import meet_plant, plant_stopped
 from fsw.outputs import Outputs
-from plant_server.channel import PlantServer
+from plant_server.channel import Channel
 from plant_server.config import PlantConfig
 from plant_server.handshake import meet_fsw
 from plant_server.plant import Plant
@@ -23,12 +25,12 @@ OURS, THEIRS = 42, 77
 PLANT_ID, FSW_ID = 0x701, 0x702
 
 
-def make_server() -> PlantServer:
+def make_server() -> Channel:
     data = {
         "body": {"inertia_kgm2": [[45, 3, 2], [3, 38, -1.5], [2, -1.5, 50]]},
         "wheels": [{"mount": mount} for mount in ("x", "y", "z", "skew")],
     }
-    return PlantServer(Plant(build(PlantConfig, data, "test"), (), 0.1, 1), 0.1, OURS)
+    return Channel(Plant(build(PlantConfig, data, "test"), (), 0.1, 1), 0.1, OURS)
 
 
 def chatter(bus: MemoryTransport, until: threading.Event) -> None:
@@ -45,7 +47,7 @@ def test_the_sides_meet_although_another_run_speaks_first() -> None:
     plant, fsw, other = (MemoryTransport("meet", node) for node in ("plant", "fsw", "other"))
     met, found = threading.Event(), []
     speaking = threading.Thread(target=chatter, args=(other, met))
-    serving = threading.Thread(target=lambda: found.append(meet_fsw(plant, make_server(), OURS, 5.0)))
+    serving = threading.Thread(target=lambda: found.append(meet_fsw(plant, make_server(), OURS, 5.0, SystemClock())))
     speaking.start()
     serving.start()
     try:
@@ -71,7 +73,7 @@ def test_only_others_is_a_wrong_scenario_and_nobody_is_a_lost_peer(side: str) ->
         if side == "fsw":
             meet_plant(own, Outputs(OURS, 10), OURS, 0.15)
         else:
-            meet_fsw(own, make_server(), OURS, 0.15)
+            meet_fsw(own, make_server(), OURS, 0.15, SystemClock())
 
     try:
         with pytest.raises(PeerLostError):
@@ -94,13 +96,14 @@ def test_an_answer_that_is_read_late_is_in_sequence_with_the_run() -> None:
         fsw.send(outputs.heartbeat(BOOT))
         fsw.send(outputs.heartbeat(OPERATIONAL))
         with pytest.raises(PeerLostError):  # both in one batch: the second confirms nothing yet
-            meet_fsw(plant, server, OURS, 0.05)
-        peer = PeerHeartbeat(DECODERS[PLANT_ID], OURS)
-        assert peer.accept(fsw.recv(0.1)[8:16], 0)
-        assert peer.state == PRE_OPERATIONAL
+            meet_fsw(plant, server, OURS, 0.05, SystemClock())
+        link = Link(DECODERS[PLANT_ID])
+        values = link.accept(fsw.recv(0.1)[8:16], 0)
+        assert values is not None
+        assert values[2] == PRE_OPERATIONAL
         server.begin()
-        assert peer.accept(server.heartbeat(OPERATIONAL)[8:], 0)
-        assert (peer.link.missing, peer.link.outcome) == (0, "ok")
+        assert link.accept(server.heartbeat(OPERATIONAL)[8:], 0)
+        assert (link.missing, link.outcome) == (0, "ok")
     finally:
         plant.close()
         fsw.close()
@@ -122,29 +125,3 @@ def test_a_stop_of_another_run_is_no_stop() -> None:
     assert plant_stopped(ours + theirs, OURS)
     assert not plant_stopped(going + theirs, OURS)
     assert not plant_stopped(theirs, OURS)
-
-
-def test_a_peer_is_believed_only_in_sequence_and_of_this_run() -> None:
-    """A forged STOPPED with a foreign hash, or a counter out of sequence, changes no state and no sequence."""
-    peer = PeerHeartbeat(DECODERS[PLANT_ID], OURS)
-    assert peer.accept(encode_HEARTBEAT_PLANT(0, 0, OPERATIONAL, OURS)[8:], 0)
-    for counter in range(15):
-        assert not peer.accept(encode_HEARTBEAT_PLANT(counter, 0, STOPPED, THEIRS)[8:], 5)
-    for counter in range(4, 15):
-        assert not peer.accept(encode_HEARTBEAT_PLANT(counter, 0, STOPPED, OURS)[8:], 1)
-    assert peer.state == OPERATIONAL
-    assert (peer.foreign, peer.link.faults["jump"]) == (15, 11)
-    assert peer.accept(encode_HEARTBEAT_PLANT(1, 0, OPERATIONAL, OURS)[8:], 10)
-
-
-@pytest.mark.parametrize("last_word", [STOPPED, FAILED])
-def test_who_goes_on_has_not_stopped(last_word: int) -> None:
-    """STOPPED stands until a frame of a tick shows it to be false; then it is taken back and counted."""
-    peer = PeerHeartbeat(DECODERS[PLANT_ID], OURS)
-    peer.deny_stop()
-    assert (peer.state, peer.false_stops) == (-1, 0)
-    peer.accept(encode_HEARTBEAT_PLANT(0, 0, OPERATIONAL, OURS)[8:], 0)
-    peer.accept(encode_HEARTBEAT_PLANT(1, 0, last_word, OURS)[8:], 1)
-    assert peer.state == last_word
-    peer.deny_stop()
-    assert (peer.state, peer.false_stops) == (OPERATIONAL, 1)

@@ -117,9 +117,9 @@ def test_a_log_is_made_where_none_is(tmp_path: Path) -> None:
     """A writer on the name of a file is refused, and the file stays."""
     path = tmp_path / "old.mcap"
     path.write_text("precious")
-    with pytest.raises(RecordError, match="File exists"):
+    with pytest.raises(RecordError, match="there is a file of that name"):
         McapWriter(path)
-    with pytest.raises(RecordError, match="File exists"):
+    with pytest.raises(RecordError, match="there is a file of that name"):
         McapLogWriter(path)
     assert path.read_text() == "precious"
 

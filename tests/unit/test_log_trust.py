@@ -16,7 +16,7 @@ import bus
 import tools.grading.grade as grading
 from bus.errors import ConfigError, HilsatError, RecordError, UsageError
 from bus.telemetry.link import Field, TickPacker, Topic, announce_topics
-from plant_server.config import FaultConfig
+from plant_server.faults import make_fault
 from tools.config.loader import load_scenario, load_text
 from tools.config.scenario import Resolved
 from tools.grading.faults import find_effect, judge_faults
@@ -251,7 +251,7 @@ def fault_record(
 )
 def test_a_fault_with_an_id_passes_by_its_effect(records: list[tuple[str, int]], passes: bool) -> None:
     """Only an effect of this fault, at or after an onset that came when it was due."""
-    fault = FaultConfig(unit="wheel.1", kind="loss", effectiveness=0.5, at_s=1.0)
+    fault = make_fault(unit="wheel.1", kind="loss", effectiveness=0.5, at_s=1.0)
     timetable, nothing = Timetable(TICKS, 10), Completeness((), ())
     (verdict,) = judge_faults([fault_record(*record) for record in records], (fault,), nothing, timetable)
     assert verdict.passed is passes
@@ -259,11 +259,11 @@ def test_a_fault_with_an_id_passes_by_its_effect(records: list[tuple[str, int]],
 
 def test_another_faults_effect_does_not_count() -> None:
     """Another id, unit or kind; of the unit gyro, any axis."""
-    fault = FaultConfig(unit="wheel.1", kind="loss", effectiveness=0.5, at_s=1.0)
+    fault = make_fault(unit="wheel.1", kind="loss", effectiveness=0.5, at_s=1.0)
     onset = fault_record("onset", 10)
     for other in ({"own_id": "faults[1]"}, {"unit": "wheel.2"}, {"kind": "dead"}):
         assert find_effect([onset, fault_record("effect", 10, **other)], "faults[0]", fault, 10)[0] is None
-    gyro = FaultConfig(unit="gyro", kind="constant", rate_rad_s=0.1, at_s=1.0)
+    gyro = make_fault(unit="gyro", kind="constant", rate_rad_s=0.1, at_s=1.0)
     axis = [fault_record(phase, 10, unit="gyro.y", kind="constant") for phase in ("onset", "effect")]
     assert find_effect(axis, "faults[0]", gyro, 10)[0] == 10
     assert find_effect(axis[:1], "faults[0]", gyro, 10)[0] is None

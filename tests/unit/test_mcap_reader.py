@@ -13,8 +13,8 @@ from mcap.writer import CompressionType, Writer
 from bus.errors import RecordError
 from bus.telemetry.link import Field, TickPacker, Topic, announce_topics, pack_frames
 from bus.wire.frames import FRAME
+from tools.log.mcap_reader import parse_layout, read_run
 from tools.log.recorder import Recorder, RunAttachment
-from tools.log.topics import parse_layout, read_run
 
 DBC = """VERSION ""
 NS_ :

@@ -29,7 +29,7 @@ DATA = {
 
 
 def answer(tick: int) -> bytes:
-    batch = encode_rw_cmds(tick % 15, 1, (0.01, -0.02, 0.03, 0.01), tick & 0xFF)
+    batch = encode_rw_cmds(tick % 15, (1,) * 4, (0.01, -0.02, 0.03, 0.01), tick & 0xFF)
     return batch + encode_CYCLE_DONE(tick % 15, 2, tick, 0)
 
 

@@ -86,7 +86,7 @@ def make() -> tuple[FakeClock, FakeBus, PlantNode, RowLink]:
 
 
 def answer(tick: int, torque_nm: float = 0.01) -> bytes:
-    return encode_rw_cmds(tick % 15, 1, (torque_nm,) * 4, tick & 0xFF) + encode_CYCLE_DONE(tick % 15, 2, tick, 0)
+    return encode_rw_cmds(tick % 15, (1,) * 4, (torque_nm,) * 4, tick & 0xFF) + encode_CYCLE_DONE(tick % 15, 2, tick, 0)
 
 
 def test_lock_step_takes_no_longer_than_the_answers() -> None:
