@@ -88,7 +88,9 @@ def measure_speed(wheel: int) -> None:
     assert speeds[wheel] == pytest.approx(-0.05 * TICK_S / 0.01, rel=0.01)
     assert max(abs(speeds[k]) for k in range(4) if k != wheel) < 0.002
     spun = Rig(wheel={"speed_rad_s": 100.0}).server
-    assert np.array(spun.plant.truth()[8:11]) == pytest.approx(AXES.sum(axis=0) * 0.01 * 100.0)  # right-handed, total
+    assert np.array(spun.plant.truth().h_total_i_nms) == pytest.approx(
+        AXES.sum(axis=0) * 0.01 * 100.0
+    )  # right-handed, total
 
 
 def measure_current(wheel: int) -> None:

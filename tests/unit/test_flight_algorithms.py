@@ -174,7 +174,7 @@ def test_unscaled_gains_do_not() -> None:
     scaled = scale_gains(IloConfig(kind="ilo"), 0.01)
     jumps = []
     for config in (unscaled, scaled):
-        observer = Ilo(config, MODEL, 0.01)
+        observer = Ilo(config, VEHICLE, 0.01)
         observer.step(0.01, ZERO, ZERO, ZERO)
         jumps.append(max(abs(observer.step(0.01, (s, 0.0, 0.0), ZERO, ZERO)[0]) for s in (1e-6, 0.0)))
     assert jumps[0] > 4.0 * jumps[1] > 0.0

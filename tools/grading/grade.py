@@ -104,7 +104,7 @@ def grade_run(run: Run, resolved: Resolved) -> Grade:
     completeness = check_completeness(run, timetable)
     verdicts = [judge(run, item, completeness, timetable) for item in scenario.expect]
     verdicts += judge_faults(faults, scenario.faults, completeness, timetable)
-    verdicts += [_judge_completeness(completeness), judge_senders(run)]
+    verdicts += [judge_senders(run), _judge_completeness(completeness)]
     required = len(scenario.expect) + len(scenario.faults)
     return Grade(scenario.name, tuple(verdicts), _complete(run, timetable), required)
 
