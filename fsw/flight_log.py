@@ -84,7 +84,8 @@ class FlightLog:
         """The records of each cycle, from what `write` noted."""
         pack, records = self._every_tick.pack_stamped, []
         for (
-            tick, t_ns, slips, flags, commands, frames, q_ib, omega_bi, bias, q_err, error_deg, q_it, fault_hat, gyro_state, wheel_alarm, cycle_ns, max_cycle_ns, lateness_ns, dropped, control, diagnostics,
+            tick, t_ns, slips, flags, commands, frames, q_ib, omega_bi, bias, q_err, error_deg, q_it, fault_hat, gyro_state,
+            wheel_alarm, cycle_ns, max_cycle_ns, lateness_ns, dropped, control, diagnostics,
         ) in rows:  # fmt: skip
             head = stamp(tick, t_ns)
             data = pack(head, (
