@@ -52,7 +52,6 @@ class Inputs:
 
     def __init__(self, modes: ModesConfig, vehicle: Vehicle, tick_s: float, run_hash: int) -> None:
         self._run_hash = run_hash
-        self._run_hash = run_hash
         self._tick_s = tick_s
         self._hold_ticks = modes.stale_after_ticks
         self._star_hold_s = modes.star_stale_after_s

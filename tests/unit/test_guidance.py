@@ -75,6 +75,9 @@ def test_a_slew_keeps_its_limits_and_ends_at_rest_at_its_target(
     accelerations = np.linalg.norm([target.alpha_ti_t_rad_s2 for target in targets], axis=1) / DEG
     assert accelerations.max() <= acceleration_deg_s2 * (1.0 + 1e-12)
     assert float(speed[:-1].sum() * (times[1] - times[0])) == pytest.approx(40.0, rel=1e-5)
+    turned = [(to_scipy(START).inv() * to_scipy(target.q_it)).magnitude() / DEG for target in targets]
+    step_s = float(times[1] - times[0])
+    assert turned == pytest.approx(step_s * (np.cumsum(speed) - 0.5 * speed), abs=1e-3)
     moving = speed > 1e-9
     assert rates[moving] / speed[moving, None] == pytest.approx(
         np.tile([0.48, 0.6, -0.64], (moving.sum(), 1)), abs=1e-9

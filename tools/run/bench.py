@@ -84,6 +84,7 @@ class Bench:
         timeline = [make_command(entry, tick_s) for entry in scenario.fsw.timeline]
         self.fsw_node = FswNode(self.flight, self._links[1], self.tick_ns, SystemClock(), timeline)
         self._answer = b""
+        self._closed = False
         self._accept: Accept = self.plant_node.channel.accept
 
     @classmethod
@@ -197,8 +198,9 @@ class Bench:
         for link in self._links:
             with contextlib.suppress(RecordError):
                 link.close(reason)
-        if self._recorder is not None:
+        if self._recorder is not None and not self._closed:
             self._recorder.close()
+        self._closed = True
 
     def _open_log(self, log: Path | Literal["memory"] | None) -> tuple[Path | None, Recorder | None]:
         if log is None:
