@@ -160,3 +160,12 @@ def test_a_mode_that_waits_says_for_what_after_a_second() -> None:
         assert told["mode detumble: rate good, no attitude yet"] == pytest.approx(5.0, abs=0.1)
         assert told["mode detumble waits for an attitude from the star tracker"] == pytest.approx(6.0, abs=0.3)
         assert bench.flight.modes.mode is Mode.DETUMBLE
+
+
+def test_a_bench_may_be_closed_more_than_once_and_its_log_stays() -> None:
+    """`run_to_end` inside `with` closes it twice; the log is read before, between and after."""
+    with Bench.open("nominal", ["duration_s=2", "expect=[]"], log="memory") as bench:
+        bench.run_to_end()
+        assert len(bench.log.ticks("/truth/attitude")) == 20
+    bench.close()
+    assert len(bench.log.ticks("/truth/attitude")) == 20
