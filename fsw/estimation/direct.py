@@ -7,9 +7,9 @@ from typing import Literal
 
 from bus.attitude import IDENTITY
 from bus.linear import ZERO3
-from fsw.estimation.rotation import turn
 from fsw.families import NoInternals
 from fsw.records import Estimate, Sensors
+from fsw.rotation import turn
 from fsw.vehicle import Vehicle
 
 

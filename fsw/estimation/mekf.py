@@ -15,8 +15,8 @@ from typing import Annotated, Literal, NamedTuple
 from bus.attitude import conjugate, dcm_from_quaternion, log_map, multiply, normalise
 from bus.linear import ZERO3, times
 from bus.units import Gt, Mat3, Positive, Unit, Vec3, Vec4
-from fsw.estimation.rotation import turn
 from fsw.records import Estimate, Sensors
+from fsw.rotation import turn
 from fsw.vehicle import Vehicle
 
 _ARCSEC = math.pi / 648000.0  # rad per second of arc

@@ -9,7 +9,7 @@ from __future__ import annotations
 from bus.attitude import conjugate, log_map, multiply, normalise
 from bus.linear import ZERO3
 from bus.units import Vec3, Vec4
-from fsw.estimation.rotation import turn
+from fsw.rotation import turn
 
 _ATTITUDE_RATE = 0.08  # [1/s]: 0.02 per frame at 4 Hz
 _BIAS_RATE = 4e-4  # [1/s^2]: 1e-4 per frame at 4 Hz

@@ -10,7 +10,7 @@ from __future__ import annotations
 from bus.attitude import conjugate, log_map, multiply, normalise
 from bus.linear import ZERO3, invert_symmetric, times
 from bus.units import Mat3, Vec3, Vec4
-from fsw.estimation.rotation import turn
+from fsw.rotation import turn
 
 _GATE_RAD, _GATE_RATE_RAD_S = 0.005, 0.02  # a star-tracker frame further off than gate + rate * age is a glitch ...
 _GLITCHES_IN_A_ROW = 3  # ... unless as many come in a row

@@ -12,8 +12,8 @@ from typing import NamedTuple
 from bus.attitude import IDENTITY, conjugate, dcm_from_quaternion, log_map, multiply, normalise
 from bus.linear import ZERO3
 from bus.units import Mat3, Vec3, Vec4
-from fsw.estimation.rotation import turn
 from fsw.records import Flags3
+from fsw.rotation import turn
 
 _ZERO9 = (0.0,) * 9
 Sum9 = tuple[float, ...]  # integral of R(q_g), row by row [s]

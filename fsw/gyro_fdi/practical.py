@@ -14,7 +14,6 @@ from typing import NamedTuple
 from bus.attitude import conjugate, log_map, multiply, normalise
 from bus.linear import ZERO3
 from bus.units import Vec3, Vec4
-from fsw.estimation.rotation import turn
 from fsw.gyro_fdi.classification import Classifier, FaultKind, Verdict
 from fsw.gyro_fdi.cycle_inputs import CycleCollector, CycleInputs
 from fsw.gyro_fdi.fog import choose_fog
@@ -27,6 +26,7 @@ from fsw.gyro_fdi.plausibility import Plausibility, bound_acceleration
 from fsw.gyro_fdi.practical_settings import PracticalDetectorConfig
 from fsw.gyro_fdi.recovery import AxisRecovery, AxisState
 from fsw.records import Detection, Estimate, Sensors
+from fsw.rotation import turn
 from fsw.vehicle import Vehicle
 
 _ARCSEC = math.pi / 648000.0

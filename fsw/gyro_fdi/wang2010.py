@@ -12,10 +12,10 @@ from typing import Annotated, Literal, NamedTuple
 from bus.attitude import normalise
 from bus.linear import ZERO3, subtract
 from bus.units import Ge, Gt, Positive, RadS, Vec3, Vec4
-from fsw.estimation.rotation import turn
 from fsw.gyro_fdi.momentum_filter import MomentumFilter
 from fsw.gyro_fdi.observers import GyroObserver
 from fsw.records import Detection, Estimate, Sensors
+from fsw.rotation import turn
 from fsw.vehicle import Vehicle
 
 _PREMISE_BANDWIDTH_RAD_S = 0.6

@@ -16,10 +16,10 @@ from fsw.allocators.pseudo_inverse import PseudoInverse, PseudoInverseConfig
 from fsw.controllers.braking_profile import BrakingProfile, BrakingProfileConfig
 from fsw.controllers.smc import SlidingMode, SmcConfig
 from fsw.estimation.direct import Direct, DirectConfig
-from fsw.estimation.rotation import turn
 from fsw.guidance.guidance import HYSTERESIS_Q0, Guidance
 from fsw.observers.ilo import GAP_PERIODS, Ilo, IloConfig, scale_gains
 from fsw.records import HEALTHY, PointingError, Sensors, WheelHealth
+from fsw.rotation import turn
 from fsw.vehicle import ModelConfig, Vehicle, invert_inertia
 
 J = ((45.0, 3.0, 2.0), (3.0, 38.0, -1.5), (2.0, -1.5, 50.0))
