@@ -75,9 +75,7 @@ class FlightLog:
             diagnostics,
         ) in rows:  # fmt: skip
             head = stamp(tick, t_ns)
-            values = flatten(known)
-            values += (cycle_ns * 1e-3, max_cycle_ns * 1e-3, lateness_ns * 1e-3, dropped)
-            data = pack(head, values)
+            data = pack(head, (*known, cycle_ns * 1e-3, max_cycle_ns * 1e-3, lateness_ns * 1e-3, dropped))
             if control is not None:
                 data += self._on_control.pack_stamped(head, flatten(control))
             if diagnostics is not None and self._diagnostics is not None:

@@ -119,13 +119,13 @@ CONTROL_TOPICS = (
 
 
 def read_tick(flight: Flight) -> tuple[Any, ...]:
-    """What a flight knows at the end of a cycle: a value a field, in the order of TICK_TOPICS without TIMING."""
+    """What a flight knows at the end of a cycle, number by number, in the order of TICK_TOPICS without TIMING."""
     detection, error = flight.detection, flight.error
     estimate = detection.estimate
     return (
-        estimate.q_ib, estimate.omega_bi_b_rad_s, estimate.bias_b_rad_s, error.q_tb, flight.error_deg,
-        flight.guidance.target.q_it,
-        detection.fault_hat_b_rad_s, detection.gyro_state, flight.health.alarm,
+        *estimate.q_ib, *estimate.omega_bi_b_rad_s, *estimate.bias_b_rad_s, *error.q_tb, flight.error_deg,
+        *flight.guidance.target.q_it,
+        *detection.fault_hat_b_rad_s, *detection.gyro_state, *flight.health.alarm,
     )  # fmt: skip
 
 

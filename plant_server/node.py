@@ -30,8 +30,9 @@ class PlantNode:
     def tick(self, exchange: Exchange) -> None:
         """Run one tick: commands that are due, sample and announce, exchange, log, advance."""
         channel = self.channel
-        for command in self.commands.take(channel.tick):
-            self._injector.carry_out(command, channel.tick)
+        if channel.tick >= self.commands.next_tick:
+            for command in self.commands.take(channel.tick):
+                self._injector.carry_out(command, channel.tick)
         announced = channel.announce()
         received = exchange(announced, channel.accept)
         self.log.write(announced + received)

@@ -23,9 +23,15 @@ from plant_server.gyro.axis import GyroAxis
 
 
 class Gyro:
-    """The triad."""
+    """The triad, and how each of its axes stands after the last sample.
 
-    __slots__ = ("_sensing", "axes", "instantaneous")
+    status      : STATUS of each axis's frame
+    silent      : which axes send no frame
+    bias_rad_s  : bias of each axis in the last sample [rad/s]
+    fault_rad_s : what the faults of each axis added to it [rad/s]; 0 while it is silent
+    """
+
+    __slots__ = ("_sensing", "axes", "bias_rad_s", "fault_rad_s", "instantaneous", "silent", "status")
 
     def __init__(self, config: GyroConfig, timeline: FaultTimeline, dt_s: float, seed: int) -> None:
         self.instantaneous = config.preset == "ideal"
@@ -34,37 +40,22 @@ class Gyro:
         (a, b, c), (d, e, f), (g, h, i) = dcm_from_quaternion(exp_map((x, y, z)))
         self._sensing: Mat3 | None = ((a, d, g), (b, e, h), (c, f, i)) if x or y or z else None
         self.axes = tuple(GyroAxis(unit, config, axis, timeline, dt_s, seed) for axis, unit in enumerate(GYRO_AXES))
+        self._note(*self.axes)
 
     def sample(self, rate_b_rad_s: Vec3, step: int, t_s: float) -> Vec3:
-        """Return the rates of this tick's frames [rad/s], one per axis; each axis knows its `status` and `silent`.
+        """Return the rates of this tick's frames [rad/s], one per axis.
 
         rate_b_rad_s : true rate, body axes: mean over the tick, instantaneous for the ideal preset
         step, t_s    : integration step and time of the tick
         """
         x, y, z = rate_b_rad_s if self._sensing is None else times(self._sensing, rate_b_rad_s)
         ax, ay, az = self.axes
-        return (ax.sample(x, step, t_s), ay.sample(y, step, t_s), az.sample(z, step, t_s))
+        rates = (ax.sample(x, step, t_s), ay.sample(y, step, t_s), az.sample(z, step, t_s))
+        self._note(ax, ay, az)
+        return rates
 
-    @property
-    def status(self) -> tuple[int, int, int]:
-        """STATUS of each axis's frame."""
-        x, y, z = self.axes
-        return (x.status, y.status, z.status)
-
-    @property
-    def silent(self) -> tuple[bool, bool, bool]:
-        """Which axes send no frame."""
-        x, y, z = self.axes
-        return (x.silent, y.silent, z.silent)
-
-    @property
-    def bias_rad_s(self) -> Vec3:
-        """Bias of each axis in the last sample [rad/s]."""
-        x, y, z = self.axes
-        return (x.bias_rad_s, y.bias_rad_s, z.bias_rad_s)
-
-    @property
-    def fault_rad_s(self) -> Vec3:
-        """What the faults of each axis added to the last sample [rad/s]; 0 while it is silent."""
-        x, y, z = self.axes
-        return (x.fault_rad_s, y.fault_rad_s, z.fault_rad_s)
+    def _note(self, x: GyroAxis, y: GyroAxis, z: GyroAxis) -> None:
+        self.status = (x.status, y.status, z.status)
+        self.silent = (x.silent, y.silent, z.silent)
+        self.bias_rad_s = (x.bias_rad_s, y.bias_rad_s, z.bias_rad_s)
+        self.fault_rad_s = (x.fault_rad_s, y.fault_rad_s, z.fault_rad_s)

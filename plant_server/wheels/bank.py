@@ -23,17 +23,9 @@ class WheelBank(Protocol):
     torque_b_nm: Vec3  # their sum on the body
     command_nm: Vec4  # in effect
     command_b_nm: Vec3  # what it would be on the body with nominal axes
+    current_a: Vec4  # of the motors over the last step
+    status: Status4  # of each wheel's frame: 0 ok, 2 no command, 3 speed limit
     silent: Flags4  # which send no telemetry
-
-    @property
-    def current_a(self) -> Vec4:
-        """Of the motors over the last step [A]."""
-        ...
-
-    @property
-    def status(self) -> Status4:
-        """STATUS of each wheel's frame: 0 ok, 2 no command, 3 speed limit."""
-        ...
 
     def receive(self, commands_nm: Sequence[float | None]) -> None:
         """Take the torque commands of this tick [N m]; None: the wheel has none, so its motor gives no torque."""

@@ -23,8 +23,8 @@ class IdealBank:
 
     __slots__ = (
         "_axes", "_commanded", "_h_rw_nms", "_inverse_inertia", "_is_steady", "_max_speed", "_next_look", "_nominal_axes",
-        "_speed_per_nm", "_step_s", "_tacho", "_wheels", "axes_b", "command_b_nm", "command_nm", "h_b_nms", "silent",
-        "speed_rad_s", "torque_b_nm", "torque_nm",
+        "_speed_per_nm", "_step_s", "_tacho", "_wheels", "axes_b", "command_b_nm", "command_nm", "current_a", "h_b_nms",
+        "silent", "speed_rad_s", "status", "torque_b_nm", "torque_nm",
     )  # fmt: skip
 
     def __init__(
@@ -54,6 +54,8 @@ class IdealBank:
         self.silent: Flags4 = (False, False, False, False)
         self.torque_nm: Vec4 = ZERO4
         self.torque_b_nm: Vec3 = ZERO3
+        self.current_a: Vec4 = ZERO4
+        self.status: Status4 = self._find_status()
         self._is_steady = False  # only a speed limit can make the next step's torque another than the last one's
         self._next_look = -1  # step on which the faults must be looked at
 
@@ -98,7 +100,25 @@ class IdealBank:
             a.drive(step, c1, s1), b.drive(step, c2, s2), c.drive(step, c3, s3), d.drive(step, c4, s4)
         )  # fmt: skip
         self.torque_b_nm = _combine(self._axes, torque)
+        self.current_a = (
+            a.motor_nm * a.ampere_per_nm,
+            b.motor_nm * b.ampere_per_nm,
+            c.motor_nm * c.ampere_per_nm,
+            d.motor_nm * d.ampere_per_nm,
+        )
+        self.status = self._find_status()
         self._is_steady = a.is_steady and b.is_steady and c.is_steady and d.is_steady
+
+    def _find_status(self) -> Status4:
+        """Return STATUS of each wheel's frame."""
+        a, b, c, d = self._wheels
+        if self._commanded == ALL and not (a.limited or b.limited or c.limited or d.limited):
+            return ALL_OK
+        s1, s2, s3, s4 = (
+            SPEED_LIMIT if wheel.limited else OK if commanded else NO_COMMAND
+            for commanded, wheel in zip(self._commanded, self._wheels, strict=True)
+        )
+        return (s1, s2, s3, s4)
 
     def _keeps_limits(self) -> bool:
         """Return whether another step with the same torque leaves every rotor within its speed limit."""
@@ -163,29 +183,6 @@ class IdealBank:
             speed + sigma * draw() for speed, (sigma, draw) in zip(self.speed_rad_s, self._tacho, strict=True)
         )
         return (a, b, c, d)
-
-    @property
-    def current_a(self) -> Vec4:
-        """Of the motors over the last step: their torque over the motor constant [A]."""
-        a, b, c, d = self._wheels
-        return (
-            a.motor_nm * a.ampere_per_nm,
-            b.motor_nm * b.ampere_per_nm,
-            c.motor_nm * c.ampere_per_nm,
-            d.motor_nm * d.ampere_per_nm,
-        )
-
-    @property
-    def status(self) -> Status4:
-        """STATUS of each wheel's frame."""
-        a, b, c, d = self._wheels
-        if self._commanded == ALL and not (a.limited or b.limited or c.limited or d.limited):
-            return ALL_OK
-        s1, s2, s3, s4 = (
-            SPEED_LIMIT if wheel.limited else OK if commanded else NO_COMMAND
-            for commanded, wheel in zip(self._commanded, self._wheels, strict=True)
-        )
-        return (s1, s2, s3, s4)
 
 
 def _combine(axes: tuple[float, ...], per_wheel: Vec4) -> Vec3:

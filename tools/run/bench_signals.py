@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from itertools import islice
 from typing import Any
 
 from bus.errors import UsageError
 from bus.words import suggest
 from fsw.flight import Flight
-from fsw.telemetry import CONTROL_TOPICS, TICK_TOPICS, read_control, read_internals, read_tick
+from fsw.telemetry import CONTROL_TOPICS, TICK_TOPICS, flatten, read_control, read_internals, read_tick
 from plant_server.truth import TRUTH_FIELDS, Truth
 
 KNOWN = tuple(topic for topic in TICK_TOPICS if topic.deterministic)  # wall-clock times are nothing that a flight knows
@@ -42,7 +43,11 @@ def list_values(topic: str, truth: Truth, flight: Flight) -> dict[str, Any]:
         return dict(zip(type(inside)._fields, inside, strict=True))  # type: ignore[attr-defined]
     for topics, read in ((KNOWN, read_tick), (CONTROL_TOPICS, read_control)):
         if any(layout.name == path for layout in topics):
-            fields = [(layout.name, field.name) for layout in topics for field in layout.fields]
-            values = zip(fields, read(flight), strict=True)
-            return {field: value for (name, field), value in values if name == path}
+            values = iter(flatten(read(flight)))
+            parts = {
+                (layout.name, field.name): next(values) if field.count == 1 else tuple(islice(values, field.count))
+                for layout in topics
+                for field in layout.fields
+            }
+            return {field: value for (name, field), value in parts.items() if name == path}
     return {}
