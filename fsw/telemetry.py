@@ -42,7 +42,7 @@ ATTITUDE = Topic(
             "float64",
             4,
             "1",
-            "body with respect to target when control last ran; scalar part above -hysteresis",
+            "body in target when control last ran, scalar part not negative up to hysteresis",
         ),
         Field("error_deg", "float64", 1, "deg", "angle of q_err"),
         Field("q_it", "float64", 4, "1", "attitude of the target in inertial, scalar first"),
