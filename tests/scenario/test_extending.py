@@ -120,8 +120,10 @@ assert max(math.dist(a, b) for a, b in zip(logged["speed_rad_s"].tolist(), speed
 assert logged["valid"].min() == 1.0
 assert bench.read("fsw.wheels.speed_rad_s") == tuple(logged["speed_rad_s"][-1])
 assert abs(logged["current_a"]).max() > 0.1
+import ast
 from tools.config.signal_names import check_names
-assert check_names("max(abs(fsw.wheels.speed_rad_s))") == []
+assert check_names(ast.parse("norm(fsw.wheels.speed_rad_s)", mode="eval")) == []
+assert check_names(ast.parse("norm(fsw.wheels.sped_rad_s)", mode="eval"))
 """,
     # Once a second on the bus, decoded from the log by the DBC in it, and taken by the plant.
     "can-message": """
