@@ -210,10 +210,14 @@ class Supervisor:
         report.exit_code = _choose_code(failures)
 
     def _end(self) -> None:
-        """First the two sides, so that the recorder sees its pipes close and finishes the file."""
-        stop(self._sides)
+        """First the two sides, so that the recorder sees its pipes close and finishes the file.
+
+        A recorder that is held goes on before that: the sides may wait for room in its pipes, with something to say.
+        """
         for recorder in self._recorders:
             recorder.resume()
+        stop(self._sides)
+        for recorder in self._recorders:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 recorder.popen.wait(RECORDER_PATIENCE_S)
         stop(self._recorders)
