@@ -25,7 +25,14 @@ def test_percentiles_are_in_order(address: str) -> None:
 
 
 def test_a_bus_that_drops_is_found_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With more frames under way than the reader's queue holds, some are lost, and the count says so."""
+    """With more frames under way than the reader's queue holds, some are lost, and the count says so.
+
+    Whether the reader falls behind is up to the scheduler: in one of ten tries it does.
+    """
     monkeypatch.setattr("tools.measure.bus.WINDOW", 60_000)
-    result = measure_one_way("hub:", 64_000, 1000)
-    assert result["lost"] == result["dropped_by_bus"] > 0
+    for _ in range(10):
+        result = measure_one_way("hub:", 64_000, 1000)
+        assert result["lost"] == result["dropped_by_bus"]
+        if result["lost"]:
+            return
+    pytest.fail("ten times, nothing was lost")
