@@ -25,7 +25,7 @@ from tools.config.scenario import Resolved
 from tools.run.children import Process, make_pipe, memory_mb, share_processor, start, stop
 from tools.run.directory import LOG, keep_words
 from tools.run.provenance import describe_run, list_attachments
-from tools.run.watch import LOST, RECORDER_PATIENCE_S, STILL_S, Failure, Watch
+from tools.run.watch import LOST, RECORDER_PATIENCE_S, START_S, STILL_S, Failure, Watch
 
 POLL_S = 0.1
 END_POLL_S = 0.005
@@ -83,6 +83,7 @@ class Supervisor:
         self._report = RunReport(out_dir / LOG, 3)
         self._started_s = time.monotonic()
         self._last_progress_s = self._started_s
+        self._has_spoken = False  # the plant is up
         self._buffer = b""
         self._sides: list[Process] = []  # plant, then flight software
         self._recorders: list[Process] = []  # one, once it has started
@@ -162,10 +163,11 @@ class Supervisor:
             finished = "running_s" in self._report.details
             if watch.look(now_s, finished, codes):
                 break
-            if not finished and now_s - self._last_progress_s > STILL_S:
+            patience_s = STILL_S if self._has_spoken else START_S
+            if not finished and now_s - self._last_progress_s > patience_s:
                 self._report.problems.append(
-                    f"the plant has not moved for {STILL_S:g} s at about tick {self._report.ticks}: it hangs, or waits for "
-                    "the recorder"
+                    f"the plant has not moved for {patience_s:g} s at about tick {self._report.ticks}: it hangs, or waits "
+                    "for the recorder"
                 )
                 break
         self._judge(watch)
@@ -181,6 +183,7 @@ class Supervisor:
         for line in lines:
             what = json.loads(line)
             self._last_progress_s = time.monotonic()
+            self._has_spoken = True
             if what.get("state") == "running":
                 self._report.first_cycle_s = self._last_progress_s - self._started_s
             if "tick" in what:

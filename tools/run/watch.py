@@ -14,7 +14,8 @@ GRACE_S = 0.5  # after one process failed, how long the others may take to say w
 STOPPED_S = 1.0  # a process that a signal has held for so long is taken to be lost
 SIDE_PATIENCE_S = 4.0  # how long a side may take to end once the plant has run its last tick
 RECORDER_PATIENCE_S = 10.0  # how long the recorder may take to finish the file once both sides have ended
-STILL_S = 12.0  # without progress, the plant is taken to hang
+START_S = 30.0  # how long the plant may take to come up: a slow machine, an emulated one, has much to import
+STILL_S = 12.0  # without progress from then on, it is taken to hang
 FELT = ("PeerLostError", "BusLostError", "RecordError")  # they tell of another process than the one that has them
 
 LOST, ERROR, EARLY, VICTIM = range(4)  # how a process failed, the most telling first
