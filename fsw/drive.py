@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from bus.icd.messages import IDS, MESSAGES
+from bus.icd.ranges import find_signal, quantise_torque
 from bus.linear import ZERO4
 from bus.units import Vec4
 from fsw.records import ALL_WHEELS, WheelCommands, WheelHealth
 
 OFF, TORQUE = 0, 1  # mode of a command frame
 ALL_OFF, ALL_TORQUE = (OFF, OFF, OFF, OFF), (TORQUE, TORQUE, TORQUE, TORQUE)
-_SIGNAL = next(signal for signal in MESSAGES[IDS["RW1_CMD"]].signals if signal.name == "TORQUE")
+_SIGNAL = find_signal("RW1_CMD", "TORQUE")
 _SCALE = _SIGNAL.scale
 _LEAST, _LARGEST = round(_SIGNAL.minimum / _SCALE), round(_SIGNAL.maximum / _SCALE)
 REST = WheelCommands(ALL_OFF, ZERO4, 0)
@@ -30,11 +30,9 @@ def command_wheels(tau_rw_nm: Vec4, health: WheelHealth) -> WheelCommands:
         modes = ALL_TORQUE
     a, b, c, d = tau_rw_nm
     w1, w2, w3, w4 = round(a / _SCALE), round(b / _SCALE), round(c / _SCALE), round(d / _SCALE)
-    saturated = 0
     if not (
         _LEAST <= w1 <= _LARGEST and _LEAST <= w2 <= _LARGEST and _LEAST <= w3 <= _LARGEST and _LEAST <= w4 <= _LARGEST
     ):
-        words = [min(max(word, _LEAST), _LARGEST) for word in (w1, w2, w3, w4)]
-        saturated = sum(cut != word for cut, word in zip(words, (w1, w2, w3, w4), strict=True))
-        w1, w2, w3, w4 = words
-    return WheelCommands(modes, (w1 * _SCALE, w2 * _SCALE, w3 * _SCALE, w4 * _SCALE), saturated)
+        (a, p), (b, q), (c, r), (d, s) = (quantise_torque(torque_nm) for torque_nm in tau_rw_nm)
+        return WheelCommands(modes, (a, b, c, d), p + q + r + s)
+    return WheelCommands(modes, (w1 * _SCALE, w2 * _SCALE, w3 * _SCALE, w4 * _SCALE), 0)

@@ -5,37 +5,15 @@ from __future__ import annotations
 from bus.icd.messages import IDS, MESSAGES, Signal
 
 
-def _find(message: str, name: str) -> Signal:
+def find_signal(message: str, name: str) -> Signal:
+    """The signal of a message, with its scale and the range of its physical values."""
     return next(signal for signal in MESSAGES[IDS[message]].signals if signal.name == name)
 
 
-_TORQUE = _find("RW1_CMD", "TORQUE")
+_TORQUE = find_signal("RW1_CMD", "TORQUE")
 _STEP_NM = _TORQUE.scale
 _MAX_RAW = (1 << _TORQUE.length_bits - 1) - 1
 _MIN_RAW = -_MAX_RAW - 1
-
-
-def torque_range_nm() -> tuple[float, float]:
-    """Least and greatest torque command of a wheel [N m]."""
-    return _TORQUE.minimum, _TORQUE.maximum
-
-
-def speed_range_rad_s() -> tuple[float, float]:
-    """Least and greatest rotor speed of the telemetry [rad/s]."""
-    signal = _find("RW1_TLM", "SPEED")
-    return signal.minimum, signal.maximum
-
-
-def current_range_a() -> tuple[float, float]:
-    """Least and greatest motor current of the telemetry [A]."""
-    signal = _find("RW1_TLM", "CURRENT")
-    return signal.minimum * 1e-3, signal.maximum * 1e-3
-
-
-def rate_range_rad_s() -> tuple[float, float]:
-    """Least and greatest rate of a gyro axis [rad/s]."""
-    signal = _find("FOGX_RATE", "RATE")
-    return signal.minimum, signal.maximum
 
 
 def quantise_torque(torque_nm: float) -> tuple[float, bool]:

@@ -9,7 +9,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from bus.icd.codec import decode_RW1_CMD, encode_RW1_CMD
-from bus.icd.ranges import current_range_a, quantise_torque, rate_range_rad_s, speed_range_rad_s, torque_range_nm
+from bus.icd.ranges import find_signal, quantise_torque
 
 HIGH_NM = 214.7483647
 
@@ -39,8 +39,15 @@ def test_nan_is_refused_as_the_encoder_does() -> None:
 
 def test_the_ranges_are_those_of_the_contract() -> None:
     """32 bits at 1e-7 N m and 1e-9 rad/s, 24 bits at 1e-3 rad/s, 16 bits at 1 mA; a 10 N m wheel fits."""
-    assert torque_range_nm() == (-214.7483648, HIGH_NM)
-    assert torque_range_nm()[1] > 10.0
-    assert speed_range_rad_s() == (-8388.608, 8388.607)
-    assert current_range_a() == pytest.approx((-32.768, 32.767))
-    assert rate_range_rad_s() == (-2.147483648, 2.147483647)
+    torque, speed, current, rate = (
+        (signal.minimum, signal.maximum)
+        for signal in (
+            find_signal("RW1_CMD", "TORQUE"), find_signal("RW1_TLM", "SPEED"), find_signal("RW1_TLM", "CURRENT"),
+            find_signal("FOGX_RATE", "RATE"),
+        )
+    )  # fmt: skip
+    assert torque == (-214.7483648, HIGH_NM)
+    assert torque[1] > 10.0
+    assert speed == (-8388.608, 8388.607)
+    assert tuple(1e-3 * milliampere for milliampere in current) == pytest.approx((-32.768, 32.767))
+    assert rate == (-2.147483648, 2.147483647)

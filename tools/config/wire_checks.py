@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from bus.errors import BusAddressError
-from bus.icd.messages import IDS, MESSAGES
+from bus.icd.ranges import find_signal
 from bus.settings import KeyPath, Problem
 from bus.wire.address import BUILT_IN, EXPLICIT, describe_unknown, python_can_interfaces
 from bus.wire.hub.directory import check_place, resolve_directory
@@ -40,7 +40,7 @@ def explain_address(address: str) -> str | None:
 
 def range_of(message: str, signal: str) -> float:
     """Largest magnitude that a signal of the ICD can carry with either sign, in its unit."""
-    found = next(item for item in MESSAGES[IDS[message]].signals if item.name == signal)
+    found = find_signal(message, signal)
     return min(-found.minimum, found.maximum)
 
 
