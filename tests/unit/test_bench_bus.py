@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import signal
+import subprocess
+from typing import Any
 
 import pytest
 
+from tools.measure import bus
 from tools.measure.bus import measure_all, measure_one_way, measure_round_trip
 
 
@@ -25,14 +30,25 @@ def test_percentiles_are_in_order(address: str) -> None:
 
 
 def test_a_bus_that_drops_is_found_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With more frames under way than the reader's queue holds, some are lost, and the count says so.
+    """A reader that stands still while more frames come than its queue holds loses some, and the count says so."""
+    children: list[subprocess.Popen[bytes]] = []
+    start_child, stream, await_account = bus._start_child, bus._stream, bus._await_account
 
-    Whether the reader falls behind is up to the scheduler: in one of ten tries it does.
-    """
-    monkeypatch.setattr("tools.measure.bus.WINDOW", 60_000)
-    for _ in range(10):
-        result = measure_one_way("hub:", 64_000, 1000)
-        assert result["lost"] == result["dropped_by_bus"]
-        if result["lost"]:
-            return
-    pytest.fail("ten times, nothing was lost")
+    def keep_child(stack: contextlib.ExitStack, role: str, where: str) -> None:
+        children.append(start_child(stack, role, where))
+
+    def stream_to_a_stopped_reader(*args: Any) -> tuple[int, int]:
+        children[0].send_signal(signal.SIGSTOP)
+        return stream(*args)
+
+    def wake_and_await(*args: Any) -> tuple[int, int]:
+        children[0].send_signal(signal.SIGCONT)
+        return await_account(*args)
+
+    monkeypatch.setattr(bus, "WINDOW", 60_000)
+    monkeypatch.setattr(bus, "ASK_AFTER_S", 5.0)  # a question that finds no room would be counted with the frames
+    monkeypatch.setattr(bus, "_start_child", keep_child)
+    monkeypatch.setattr(bus, "_stream", stream_to_a_stopped_reader)
+    monkeypatch.setattr(bus, "_await_account", wake_and_await)
+    result = measure_one_way("hub:", 64_000, 1000)
+    assert result["lost"] == result["dropped_by_bus"] > 0

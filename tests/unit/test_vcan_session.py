@@ -183,7 +183,7 @@ def test_programs_that_cannot_be_run_have_the_codes_of_env() -> None:
         assert process.wait(20) == 126
 
 
-CLOSING = "import time\nprint('ready', flush=True)\ntry:\n time.sleep(60)\nexcept KeyboardInterrupt:\n time.sleep(0.3); print('closed'); raise SystemExit(42)"  # noqa: E501
+CLOSING = "import time\ntry:\n print('ready', flush=True)\n time.sleep(60)\nexcept KeyboardInterrupt:\n time.sleep(0.3); print('closed'); raise SystemExit(42)"  # noqa: E501
 
 
 def test_a_command_may_finish_after_an_interrupt() -> None:

@@ -181,12 +181,15 @@ def main(arguments: list[str]) -> int:
     return 0
 
 
-def _start_child(stack: contextlib.ExitStack, role: str, where: str, fds: tuple[int, ...] = ()) -> None:
+def _start_child(
+    stack: contextlib.ExitStack, role: str, where: str, fds: tuple[int, ...] = ()
+) -> subprocess.Popen[bytes]:
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     command = [sys.executable, "-P", "-m", "tools.measure.bus", role, where]
     child = subprocess.Popen(command, env=environment, pass_fds=fds, stdin=subprocess.DEVNULL, stdout=sys.stderr)
     stack.callback(child.wait)
     stack.callback(child.kill)
+    return child
 
 
 def _await_child(transport: Transport) -> None:
