@@ -4,6 +4,8 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 SCENARIO ?= zhang2018
+# Most tests start Python again: without byte code kept, each of them would compile everything once more.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: run setup test test-slow test-all test-vcan test-foxglove lint coverage coverage-gate clean
 
@@ -28,7 +30,7 @@ test: $(STAMP)
 	$(BIN)/python -m pytest -n auto -m "not slow and not vcan and not vcan_host"
 
 test-slow: $(STAMP)
-	$(BIN)/python -m pytest -n auto -m "slow and not vcan and not vcan_host"
+	HILSAT_THOROUGH=1 $(BIN)/python -m pytest -n auto -m "(slow or hypothesis) and not vcan and not vcan_host"
 
 test-all: test test-slow test-vcan test-foxglove
 
@@ -54,7 +56,7 @@ coverage: $(STAMP)
 
 # What must never fail is covered whole: every line and branch of executive, codec and safe mode.
 coverage-gate: $(STAMP)
-	$(BIN)/python -m pytest -q tests/unit/test_executive.py tests/unit/test_modes.py tests/unit/test_e2e.py \
+	HILSAT_THOROUGH=1 $(BIN)/python -m pytest -q tests/unit/test_executive.py tests/unit/test_modes.py tests/unit/test_e2e.py \
 	  tests/property/test_codec.py tests/property/test_usual_batch.py tests/property/test_cycle_fuzz.py \
 	  --cov=fsw.executive --cov=fsw.schedule --cov=fsw.modes --cov=bus.icd.codec --cov=bus.icd.e2e \
 	  --cov-branch --cov-report=term-missing --cov-fail-under=100

@@ -1,7 +1,8 @@
 """What tests of several folders share: settings of the property tests, and CAN interfaces of the kernel.
 
-The same examples on every CI run, fresh ones on a developer's machine. Tests on real AF_CAN are skipped where there is
-none, and fail where HILSAT_REQUIRE_VCAN=1 says that the run was started for them.
+The same examples on every CI run, fresh ones on a developer's machine, and a quarter as many unless HILSAT_THOROUGH=1.
+Tests on real AF_CAN are skipped where there is none, and fail where HILSAT_REQUIRE_VCAN=1 says that the run was started
+for them.
 """
 
 from __future__ import annotations
@@ -15,8 +16,9 @@ from hypothesis import settings
 from bus.wire.can_link import find_link, kernel_has_can
 
 # A loaded machine is no reason to fail, so no example has a deadline.
-settings.register_profile("fresh", deadline=None)
-settings.register_profile("same", deadline=None, derandomize=True)
+EXAMPLES = 100 if os.environ.get("HILSAT_THOROUGH") == "1" else 25
+settings.register_profile("fresh", deadline=None, max_examples=EXAMPLES)
+settings.register_profile("same", deadline=None, max_examples=EXAMPLES, derandomize=True)
 settings.load_profile("same" if os.environ.get("CI") else "fresh")
 
 

@@ -6,7 +6,6 @@ The kinds come from the registries: one that is registered is covered here witho
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from types import ModuleType
@@ -364,49 +363,3 @@ def test_pseudo_inverse_gives_the_torque_where_it_can(torque: Vec3, weak: Vec4, 
     a, b, c, d = (e * x for e, x in zip(share, found.tau_rw_nm, strict=True))
     skew = d / math.sqrt(3.0)
     assert (a + skew, b + skew, c + skew) == pytest.approx(torque, abs=1e-12)
-
-
-# -- cost ----------------------------------------------------------------------------------------------------------
-
-
-def measure_us(call: Callable[[int], Any], repeats: int = 1000) -> float:
-    """Best CPU time of a call over five rounds [us]."""
-    best = math.inf
-    for round_number in range(5):
-        start = time.process_time()
-        for k in range(repeats * round_number, repeats * (round_number + 1)):
-            call(k)
-        best = min(best, (time.process_time() - start) / repeats)
-    return best * 1e6
-
-
-def make_call(family: ModuleType, config: Any) -> Callable[[int], Any]:
-    """A call of an algorithm as the cycle makes it, off its target and with a wheel that is weak."""
-    it, error = make(family, config), PointingError((0.8, 0.6, 0.0, 0.0), (0.01, 0.02, 0.01))
-    weak, wheels, q = WheelHealth((1.0, 0.5, 1.0, 1.0)), make_wheels((1.0, 2.0, 3.0, 4.0)), (0.5, 0.5, -0.5, 0.5)
-    tau: Vec4 = (0.01, -0.02, 0.03, 0.0)
-    if family is estimation:
-        return lambda k: it.step(rest_at(k, q))
-    if family is gyro_fdi:
-        return lambda k: it.step(rest_at(k, q), Estimate(q, ZERO, ZERO, True), ZERO4)
-    if family is observers:
-        return lambda k: it.step(PERIOD_S, (0.01, 0.02, 0.01), (0.01, 0.0, 0.0), ZERO)
-    if family is wheel_health:
-        return lambda k: it.step(PERIOD_S, wheels, tau, (0.01, 0.0, 0.0))
-    if family is controllers:
-        return lambda k: it.step(PERIOD_S, error, (0.01, 0.0, 0.0), weak)
-    return lambda k: it.allocate((0.03, -0.05, 0.2), weak)
-
-
-@pytest.mark.parametrize(
-    ("family", "config"),
-    [
-        pytest.param(family, config, id=f"{family.__name__.removeprefix('fsw.')}-{name(config)}")
-        for family in FAMILIES
-        for config in list_configs(family)
-    ],
-)
-def test_step_is_cheap(family: ModuleType, config: Any) -> None:
-    """CPU time of a step, some five times what it takes: a 1 kHz cycle on a slow machine has room for one of each."""
-    limit_us = 400.0 if family in (estimation, gyro_fdi) else 40.0
-    assert measure_us(make_call(family, config)) < limit_us

@@ -27,6 +27,7 @@ from tools.config import Scenario, examine_text, load_scenario
 from tools.config.check import summarise
 from tools.config.reference import walk_classes
 
+EXAMPLES = settings.default.max_examples
 ROOT = Path(__file__).resolve().parents[2]
 TEXTS = [path.read_text() for path in sorted((ROOT / "scenarios").glob("zhang2018*.yaml"))]
 RESOLVED = [load_scenario(path).as_dict() for path in sorted((ROOT / "scenarios").glob("*.yaml"))]
@@ -145,7 +146,7 @@ def broken(draw: st.DrawFn) -> dict[str, Any]:
 BORDER = ("is out of reach; ", " characters; at most ", "which cannot be printed", "is not a name; ")
 
 
-@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=3 * EXAMPLES, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(broken())
 def test_well_formed_means_the_same_as_to_pydantic(data: dict[str, Any]) -> None:
     """An independent validator, strict, over the same classes: each accepts exactly what the other accepts.
@@ -163,7 +164,7 @@ def test_well_formed_means_the_same_as_to_pydantic(data: dict[str, Any]) -> None
         assert reading.value == expected
 
 
-@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=2 * EXAMPLES, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(broken())
 def test_a_broken_tree_is_a_scenario_or_explained(data: dict[str, Any]) -> None:
     """Whatever stands where: either sound, or findings that each name a place; nothing else is raised."""
@@ -176,7 +177,7 @@ def test_a_broken_tree_is_a_scenario_or_explained(data: dict[str, Any]) -> None:
         assert again.scenario == examination.resolved.scenario
 
 
-@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=3 * EXAMPLES, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(st.data())
 def test_a_broken_text_is_a_scenario_or_explained(data: st.DataObject) -> None:
     """Characters cut out, doubled and put in, among them those that mean something to YAML."""
@@ -191,7 +192,7 @@ def test_a_broken_text_is_a_scenario_or_explained(data: st.DataObject) -> None:
     assert all(finding.message for finding in examination.findings)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=EXAMPLES, deadline=None)
 @given(st.text(max_size=30), st.text(max_size=20))
 @example("\u00b9", "1")  # a digit that is no number
 @example("a[" + "9" * 5000 + "]", "1")  # more digits than Python takes for one
@@ -217,7 +218,7 @@ def number_spots(value: Any) -> list[tuple[Any, Any]]:
     ]
 
 
-@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=2 * EXAMPLES, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(st.data())
 def test_any_number_is_computed_with_or_explained(data: st.DataObject) -> None:
     """Any number at any place of a scenario that ships: sound, built and printable, or findings; soon, and never else."""
@@ -234,7 +235,7 @@ def test_any_number_is_computed_with_or_explained(data: st.DataObject) -> None:
         summarise(examination.resolved)
 
 
-@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(st.data())
 def test_any_text_is_taken_or_explained_on_its_own_line(data: st.DataObject) -> None:
     """Any text in place of any text of a scenario that ships: no finding breaks a line but to show the source."""

@@ -18,6 +18,7 @@ from fsw.config import FswConfig
 from fsw.flight import Flight
 from fsw.flight_log import FlightLog
 
+EXAMPLES = settings.default.max_examples
 FRAME = Struct("=IB3x8s")
 TICK_S = 0.1
 CONFIG = build(
@@ -69,7 +70,7 @@ def is_bad(can_id: int, data: bytes) -> bool:
     return decoder is None or decoder(data) is None
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=3 * EXAMPLES, deadline=None)
 @given(frames, frames, frames)
 def test_random_bytes_never_raise_and_never_reach_a_control_output(
     first: list[tuple[int, bytes]], second: list[tuple[int, bytes]], third: list[tuple[int, bytes]]
@@ -87,7 +88,7 @@ def test_random_bytes_never_raise_and_never_reach_a_control_output(
     assert disturbed.wheel_commands.tau_rw_nm == clean.wheel_commands.tau_rw_nm != (0.0, 0.0, 0.0, 0.0)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=3 * EXAMPLES, deadline=None)
 @given(st.lists(frames, max_size=4))
 def test_a_cycle_survives_nothing_but_junk(batches: list[list[tuple[int, bytes]]]) -> None:
     """With no good frame at all the flight software stays in standby or safe mode and commands no torque."""

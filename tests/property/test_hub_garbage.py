@@ -16,6 +16,7 @@ from bus.wire.frames import ERR_FLAG, FRAME, FRAME_SIZE, FrameFilter, drop_malfo
 from bus.wire.hub.datagrams import MARK, MAX_DATAGRAM, pack_control, read_filters, unpack_control
 from bus.wire.hub.host import HubHost
 
+EXAMPLES = settings.default.max_examples
 _serial = itertools.count()
 
 frames = st.builds(FRAME.pack, st.integers(0, 0xFFFFFFFF), st.integers(0, 255), st.binary(min_size=8, max_size=8))
@@ -67,7 +68,7 @@ def introduce(host: HubHost, sock: socket.socket) -> str:
     return node
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=EXAMPLES, deadline=None)
 @given(junk=st.lists(datagrams, max_size=12), polite=st.booleans())
 def test_no_datagram_stops_the_hub_or_reaches_others_but_as_whole_sound_frames(
     host: HubHost, junk: list[bytes], polite: bool

@@ -36,6 +36,7 @@ from plant_server.channel import Channel
 from plant_server.config import PlantConfig
 from plant_server.plant import Plant
 
+EXAMPLES = settings.default.max_examples
 TICK_S = 0.1
 FSW = build(
     FswConfig,
@@ -144,7 +145,7 @@ def describe_links(links: dict[int, Any]) -> list[tuple[Any, ...]]:
     ]
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=EXAMPLES, deadline=None)
 @given(st.data())
 def test_sensors_are_the_same_by_both_ways(data: st.DataObject) -> None:
     """Sensors, counters and every link are equal after every tick, whatever happens to the batches."""
@@ -158,7 +159,7 @@ def test_sensors_are_the_same_by_both_ways(data: st.DataObject) -> None:
     assert describe_links(usual.links) == describe_links(each.links)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=EXAMPLES, deadline=None)
 @given(st.data())
 def test_commands_are_the_same_by_both_ways(data: st.DataObject) -> None:
     """Torques in effect, counters and every link are equal after every tick, whatever happens to the batches."""

@@ -49,6 +49,7 @@ def test_mistakes_are_named(words: list[str], code: int, message: str, tmp_path:
     assert not done.stdout
 
 
+@pytest.mark.slow
 def test_a_run_that_never_begins_says_why_and_no_more(tmp_path: Path) -> None:
     """Both sides miss the bus: said once, without a grade of what was never flown."""
     words = ["run", "zhang2018", "--bus", "socketcan:nosuchcan0", "--out", str(tmp_path / "out")]
@@ -76,6 +77,7 @@ def test_a_failed_expectation_is_exit_code_1(tmp_path: Path) -> None:
     assert "FAIL  settles to 1 deg" in run.stdout
 
 
+@pytest.mark.slow
 def test_an_output_directory_is_not_written_twice(tmp_path: Path) -> None:
     """What is recorded is never overwritten."""
     assert hilsat("run", "zhang2018", *QUICK, "--out", str(tmp_path)).returncode == 0
@@ -86,6 +88,7 @@ def test_an_output_directory_is_not_written_twice(tmp_path: Path) -> None:
     assert (tmp_path / "run.mcap").read_bytes() == before
 
 
+@pytest.mark.slow
 def test_two_runs_never_share_a_directory(tmp_path: Path) -> None:
     """Started together with one --out: one flies and its log is that of its seed alone, the other is refused."""
     words = [*HILSAT, "run", "zhang2018-flight", *QUICK, "--json", "--set", "duration_s=20", "--set", "expect=[]"]
@@ -103,6 +106,7 @@ def test_two_runs_never_share_a_directory(tmp_path: Path) -> None:
     assert json.loads(told[flown][0])["figures"][digest] == json.loads(alone.stdout)["figures"][digest]
 
 
+@pytest.mark.slow
 def test_what_is_in_a_directory_stays(tmp_path: Path) -> None:
     """--out onto a directory with files of the names that a run once used: each stays, and the run passes beside them."""
     mine = {
@@ -127,6 +131,7 @@ def test_what_is_in_a_directory_stays(tmp_path: Path) -> None:
     assert (tmp_path / "run.mcap").stat().st_size > 1000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("verb", ["plant", "fsw"])
 def test_a_log_that_is_there_is_never_written_over(verb: str, tmp_path: Path) -> None:
     """--log onto a file, or a dangling link: refused at once, and as it was."""
@@ -140,6 +145,7 @@ def test_a_log_that_is_there_is_never_written_over(verb: str, tmp_path: Path) ->
     assert not (tmp_path / "nowhere").exists()
 
 
+@pytest.mark.slow
 def test_a_failed_recorder_of_one_side_is_infrastructure(tmp_path: Path) -> None:
     """`hilsat plant --log` onto a full disk: exit code 3 and the recorder's words."""
     done = hilsat("plant", "zhang2018", "--bus", f"hub:{tmp_path / 'bus'}", "--log", "/dev/full")
@@ -148,6 +154,7 @@ def test_a_failed_recorder_of_one_side_is_infrastructure(tmp_path: Path) -> None
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.slow
 def test_the_flight_software_alone_ends_in_words(tmp_path: Path) -> None:
     """`hilsat fsw --log` that no plant answers: exit code 3, no traceback, a log that is closed properly."""
     log = tmp_path / "fsw.mcap"
@@ -158,6 +165,7 @@ def test_the_flight_software_alone_ends_in_words(tmp_path: Path) -> None:
     assert log.read_bytes().endswith(b"\x89MCAP0\r\n")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("verb", ["plant", "fsw"])
 def test_a_side_that_is_told_twice_to_end_ends_once(verb: str, tmp_path: Path) -> None:
     """SIGTERM again and again while it waits for the other and cleans up: 143, no traceback, nothing left behind."""
@@ -177,6 +185,7 @@ def test_a_side_that_is_told_twice_to_end_ends_once(verb: str, tmp_path: Path) -
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_a_file_called_like_the_socket_of_a_bus_stays(tmp_path: Path) -> None:
     """hub:DIR with somebody's own file hub.sock in it: refused in words, and the file is as it was."""
     bus = tmp_path / "bus"
@@ -206,6 +215,7 @@ def test_the_two_sides_meet_in_two_terminals(tmp_path: Path) -> None:
     assert log.stat().st_size > 100_000
 
 
+@pytest.mark.slow
 def test_a_second_bench_on_one_bus_is_refused(tmp_path: Path) -> None:
     """The bus directory is locked by its host; the second run ends with 3 and names it, the first goes on."""
     bus = f"hub:{tmp_path / 'bus'}"

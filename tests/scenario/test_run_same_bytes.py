@@ -26,7 +26,7 @@ def fly(out: Path, *words: str, scenario: str = "zhang2018", hash_seed: str = "0
     return result
 
 
-@pytest.mark.parametrize("scenario", ["zhang2018", "zhang2018-flight"])
+@pytest.mark.parametrize("scenario", ["zhang2018", pytest.param("zhang2018-flight", marks=pytest.mark.slow)])
 def test_in_process_and_lock_step_give_the_same_bytes(tmp_path: Path, scenario: str) -> None:
     """Two processes over the embedded bus log exactly what one process logs, frames included."""
     for name, clock in (("a", "inprocess"), ("b", "lockstep")):
@@ -36,6 +36,7 @@ def test_in_process_and_lock_step_give_the_same_bytes(tmp_path: Path, scenario: 
     assert one.digest() == two.digest()
 
 
+@pytest.mark.slow
 def test_another_seed_gives_other_bytes(tmp_path: Path) -> None:
     """The digest does depend on the noise: two seeds of a noisy scenario differ."""
     digests = []

@@ -70,7 +70,14 @@ def test_what_was_not_foreseen_in_a_verb_is_3_and_one_line(
     assert "Traceback" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("shell", [">/dev/full", ">&-", "2>/dev/full", ">/dev/full 2>&1", ">&- 2>&- <&-"])
+CLOSED = ">&- 2>&- <&-"
+NOWHERE = [
+    ">/dev/full 2>&1",
+    *(pytest.param(s, marks=pytest.mark.slow) for s in (">/dev/full", ">&-", "2>/dev/full", CLOSED)),
+]
+
+
+@pytest.mark.parametrize("shell", NOWHERE)
 def test_output_that_goes_nowhere_does_not_change_the_verdict(shell: str, tmp_path: Path) -> None:
     """A check that passes and one that fails, with streams that are full or closed: 0 and 2, and no traceback."""
     bad = tmp_path / "bad.yaml"
