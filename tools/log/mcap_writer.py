@@ -40,6 +40,7 @@ from mcap.records import (
 )
 
 from bus.errors import RecordError
+from tools.log.chunk_indexes import ChunkIndexes
 from tools.log.message_index import LayoutIndex, Pairs
 
 Compression = Literal["zstd", "lz4", ""]
@@ -96,7 +97,7 @@ class McapWriter:
         self.complete: Callable[[dict[int, Pairs], bytes], bytes] | None = None
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
-        self._chunks: list[ChunkIndex] = []
+        self._chunks = ChunkIndexes()
         self._attachments: list[AttachmentIndex] = []
         self._metadata: list[MetadataIndex] = []
         self._counts: dict[int, int] = {}
@@ -127,7 +128,8 @@ class McapWriter:
             writer._file.close()
             raise RecordError(f"{path}: cannot add to a log that was not finished{reason}; run `hilsat recover` on it")
         writer._schemas, writer._channels = dict(summary.schemas), dict(summary.channels)
-        writer._chunks = list(summary.chunk_indexes)
+        for index in summary.chunk_indexes:
+            writer._chunks.add(index)
         writer._attachments, writer._metadata = list(summary.attachment_indexes), list(summary.metadata_indexes)
         if summary.statistics:
             writer._counts = dict(summary.statistics.channel_message_counts)
@@ -218,7 +220,7 @@ class McapWriter:
             message_index_length=self._size - start - chunk_length, compression=self._compression,
             compressed_size=len(packed), uncompressed_size=len(data),
         )  # fmt: skip
-        self._chunks.append(index)
+        self._chunks.add(index)
 
     def close(self) -> None:
         """Write the summary and close the file. Harmless when repeated."""
@@ -240,36 +242,29 @@ class McapWriter:
                 os.truncate(self.path, end)
 
     def _format_summary(self) -> bytes:
-        builder = RecordBuilder()
         start = self._size
-        groups: list[tuple[Opcode, list[McapRecord]]] = [
-            (Opcode.SCHEMA, list(self._schemas.values())),
-            (Opcode.CHANNEL, list(self._channels.values())),
-            (Opcode.STATISTICS, [self._count_all()]),
-            (Opcode.CHUNK_INDEX, list(self._chunks)),
-            (Opcode.ATTACHMENT_INDEX, list(self._attachments)),
-            (Opcode.METADATA_INDEX, list(self._metadata)),
-        ]
-        offsets = []
-        for opcode, records in groups:
-            before = builder.count
-            for record in records:
-                record.write(builder)
+        groups = {
+            Opcode.SCHEMA: format_records(*self._schemas.values()),
+            Opcode.CHANNEL: format_records(*self._channels.values()),
+            Opcode.STATISTICS: format_records(self._count_all()),
+            Opcode.CHUNK_INDEX: self._chunks.format(),
+            Opcode.ATTACHMENT_INDEX: format_records(*self._attachments),
+            Opcode.METADATA_INDEX: format_records(*self._metadata),
+        }
+        body, offsets = b"", b""
+        for opcode, records in groups.items():
             if records:
-                offsets.append(SummaryOffset(opcode, start + before, builder.count - before))
-        offsets_start = start + builder.count
-        for offset in offsets:
-            offset.write(builder)
-        body: bytes = builder.end()  # type: ignore[no-untyped-call]
-        crc = zlib.crc32(body + struct.pack("<BQQQ", Opcode.FOOTER, 20, start, offsets_start))
-        return body + format_records(Footer(start, offsets_start, crc))
+                offsets += format_records(SummaryOffset(opcode, start + len(body), len(records)))
+                body += records
+        offsets_start = start + len(body)
+        crc = zlib.crc32(body + offsets + struct.pack("<BQQQ", Opcode.FOOTER, 20, start, offsets_start))
+        return body + offsets + format_records(Footer(start, offsets_start, crc))
 
     def _count_all(self) -> Statistics:
         return Statistics(
             attachment_count=len(self._attachments), channel_count=len(self._channels),
-            channel_message_counts=self._counts, chunk_count=len(self._chunks), message_count=self.message_count,
-            message_end_time=max((chunk.message_end_time for chunk in self._chunks), default=0),
-            message_start_time=min((chunk.message_start_time for chunk in self._chunks), default=0),
+            channel_message_counts=self._counts, chunk_count=self._chunks.count, message_count=self.message_count,
+            message_end_time=self._chunks.last_ns, message_start_time=self._chunks.first_ns,
             metadata_count=len(self._metadata), schema_count=len(self._schemas),
         )  # fmt: skip
 
