@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from bus.attitude import IDENTITY
 from bus.commands import Command
 from bus.errors import ConfigError
+from bus.icd.heartbeat import count_heartbeat_ticks
 from bus.linear import ZERO3, add, cross, subtract, times
 from bus.units import Vec3
 from fsw import allocators, controllers, estimation, gyro_fdi, observers, wheel_health
@@ -27,7 +28,6 @@ from fsw.schedule import flight_schedule
 from fsw.vehicle import Vehicle
 
 DEG_PER_RAD = 180.0 / math.pi
-HEARTBEAT_S = 1.0
 
 
 class Flight:
@@ -40,7 +40,7 @@ class Flight:
         self._tick_s = tick_s
         control_s = tick_s * config.executive.control_divider
         self.inputs = Inputs(config.modes, vehicle, tick_s, run_hash)
-        self.outputs = Outputs(run_hash, max(1, round(HEARTBEAT_S / tick_s)))
+        self.outputs = Outputs(run_hash, count_heartbeat_ticks(tick_s))
         self.modes = ModeManager(config.modes, tick_s)
         self.executive = ExecutiveCounters()
         self.estimator = estimation.REGISTRY.make(config.estimator, vehicle, tick_s)

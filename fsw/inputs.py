@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from bus.attitude import IDENTITY
 from bus.icd.codec import DECODERS, SENSORS_SIZE, decode_sensors
 from bus.icd.e2e import Link, LinkGroup, part_group
+from bus.icd.heartbeat import count_heartbeat_ticks
 from bus.units import Vec4
 from bus.wire.frames import FRAME
 from fsw.modes import ModesConfig
@@ -29,6 +30,7 @@ FOG_IDS = (0x1A0, 0x1A1, 0x1A2)
 WHEEL_IDS = (0x190, 0x191, 0x192, 0x193)
 STAR_A_ID, STAR_B_ID = 0x1B0, 0x1B1
 SYNC_ID, TIME_ID, HEARTBEAT_PLANT_ID = 0x080, 0x100, 0x701
+SLOW_IDS = (TIME_ID, HEARTBEAT_PLANT_ID)
 GROUP_IDS = (*WHEEL_IDS, *FOG_IDS, SYNC_ID)  # the frames of every tick, in the order in which the plant sends them
 
 STATUS_OK = 0
@@ -71,7 +73,10 @@ class Inputs:
 
     def reset(self) -> None:
         """Forget everything heard, as after boot."""
-        self._links = {can_id: Link(DECODERS[can_id]) for can_id in self._handlers}
+        slow_ticks = count_heartbeat_ticks(self._tick_s)
+        self._links = {
+            can_id: Link(DECODERS[can_id], slow_ticks if can_id in SLOW_IDS else 1) for can_id in self._handlers
+        }
         self._slots = {can_id: (self._links[can_id].accept, handler) for can_id, handler in self._handlers.items()}
         self._group = LinkGroup([self._links[can_id] for can_id in GROUP_IDS])
         self.counters = InputCounters()

@@ -27,6 +27,7 @@ from bus.icd.codec import (
     encode_TIME,
 )
 from bus.icd.e2e import JUMP, REPEATED, Link, LinkGroup, part_group
+from bus.icd.heartbeat import count_heartbeat_ticks
 from bus.linear import ZERO4
 from bus.units import Vec4
 from bus.wire.frames import FRAME, FRAME_SIZE
@@ -40,7 +41,6 @@ GROUP_IDS = (*COMMAND_IDS, CYCLE_DONE_ID)  # the frames of every tick, in the or
 GROUP_SIZE = len(GROUP_IDS)
 STATE_STOPPED, STATE_OPERATIONAL, STATE_PRE_OPERATIONAL, STATE_FAILED = 4, 5, 127, 128
 STAR_NOT_VALID = 15
-HEARTBEAT_S = 1.0
 Torques = tuple[float | None, float | None, float | None, float | None]  # None: no command
 NO_TORQUE: Torques = ZERO4
 NEVER = -(10**9)  # tick of a command that has not come yet
@@ -70,7 +70,7 @@ class Channel:
         self.events: tuple[FaultEvent, ...] = ()  # faults that took effect or ended since the last samples
         self.snapshot: Snapshot = plant.snapshot()  # of the truth, at the time of the samples
         self._run_hash = run_hash
-        self.heartbeat_ticks = max(1, round(HEARTBEAT_S / tick_s))
+        self.heartbeat_ticks = count_heartbeat_ticks(tick_s)
         self._tick_s = tick_s
         self._star_counter = 0
         config = plant.config
@@ -86,7 +86,8 @@ class Channel:
         """Forget the frames of the meeting: the run's own count starts here."""
         self.counters = ChannelCounters()
         self._slow_counter = 0
-        self._links = {can_id: Link(DECODERS[can_id]) for can_id in (*GROUP_IDS, HEARTBEAT_FSW_ID)}
+        self._links = {can_id: Link(DECODERS[can_id]) for can_id in GROUP_IDS}
+        self._links[HEARTBEAT_FSW_ID] = Link(DECODERS[HEARTBEAT_FSW_ID], self.heartbeat_ticks)
         self._group = LinkGroup([self._links[can_id] for can_id in GROUP_IDS])
 
     def count_rivals(self) -> int:

@@ -21,8 +21,8 @@ NEXT_COUNTER = (*range(1, COUNTER_MODULUS), 0, 0)  # by the counter just sent
 MAX_JUMP = 3  # of the counter between two frames that are taken: two frames may be lost in a row
 RESYNC_FRAMES = 2  # in a row that a new sequence needs once the old one has fallen silent
 ELDER_FRAMES = 4  # taken since a jump, in which the sequence before it may prove to be alive
-SUSPECT, CERTAIN = 10.0, 30.0  # counts ahead of one a tick, from which there is a second sender
-FORGET_PER_TICK = 0.01  # counts ahead that are forgotten, for a sender that started again
+SUSPECT, CERTAIN = 10.0, 30.0  # counts ahead of the sender's rate, from which there is a second sender
+FORGET_PER_TICK = 0.01  # counts ahead that are forgotten per count of that rate, for a sender that started again
 
 OK, LOST, REPEATED, INVALID, JUMP, CRC, LENGTH = OUTCOMES = (
     "ok",  # counter as expected
@@ -59,16 +59,17 @@ RESIDUES = tuple(byte ^ 0xFF ^ sae_j1850(bytes((byte, 0, 0, 0, 0, 0, 0, 0)), 0xF
 
 
 class Pace:
-    """How far the counter of one id, in order of arrival, is ahead of one a tick, which no sender exceeds.
+    """How far the counter of one id, in order of arrival, is ahead of its sender's rate, which no sender exceeds for long.
 
     Lost frames do not change that: the counter goes on without them. Two senders that take turns make it go round once
     for every frame of either.
     """
 
-    __slots__ = ("_counter", "_frames", "_tick", "ahead")
+    __slots__ = ("_counter", "_every", "_frames", "_tick", "ahead")
 
-    def __init__(self) -> None:
+    def __init__(self, every_ticks: int) -> None:
         self.ahead = 0.0  # counts
+        self._every = every_ticks
         self._counter = 0  # of the last frame that was looked at,
         self._frames = 0  # how many had been accepted up to and with it,
         self._tick = 0  # and when that was
@@ -83,7 +84,7 @@ class Pace:
             advance = _step(self._counter, expected - since) + since - 1 + _step(expected - 1, counter)
         else:
             advance = _step(self._counter, counter)
-        forgotten = (1.0 + FORGET_PER_TICK) * (tick - self._tick)
+        forgotten = (1.0 + FORGET_PER_TICK) * (tick - self._tick) / self._every
         self.ahead = max(-COUNTER_MODULUS, self.ahead + advance - forgotten)
         self.note(counter, tick, accepted)
 
@@ -113,12 +114,14 @@ class Link:
     """
 
     __slots__ = (
-        "_elder", "_other", "_other_at", "_pace", "_row", "accepted", "decode", "expected", "faults", "last", "missing",
-        "outcome", "rivals", "tick",
+        "_elder", "_every", "_other", "_other_at", "_pace", "_row", "accepted", "decode", "expected", "faults", "last",
+        "missing", "outcome", "rivals", "tick",
     )  # fmt: skip
 
-    def __init__(self, decode: Callable[[bytes], tuple[Any, ...] | None]) -> None:
+    def __init__(self, decode: Callable[[bytes], tuple[Any, ...] | None], every_ticks: int = 1) -> None:
+        """Listen to an id that is sent once in so many ticks of the receiver, or less often."""
         self.decode = decode
+        self._every = every_ticks
         self.expected = -1  # no frame yet: any counter starts the sequence
         self.accepted = 0
         self.missing = 0  # frames that the counter says were sent and that were not taken (modulo 15)
@@ -127,7 +130,7 @@ class Link:
         self.outcome = OK  # of the last frame
         self.last = b""  # frame that was taken
         self.tick = 0  # at which that was
-        self._pace = Pace()
+        self._pace = Pace(every_ticks)
         self._other = -1  # counter that would continue the other sequence; -1: there is none
         self._other_at = 0  # value of `accepted` when it was last heard
         self._row = 0  # its frames since the own sequence went on
@@ -136,7 +139,7 @@ class Link:
     def accept(self, data: bytes, tick: int) -> tuple[Any, ...] | None:
         """Values of one frame as its decoder gives them, or None where the frame was thrown away and counted.
 
-        tick : of the receiver, in which it takes this frame. A sender sends no id more than once a tick
+        tick : of the receiver, in which it takes this frame
         """
         values = self.decode(data)
         if values is None:
@@ -197,7 +200,7 @@ class Link:
     def _hear_other(self, counter: int, tick: int) -> bool:
         """True where the frame that continues the other sequence is taken."""
         self._row = self._row + 1 if self.accepted == self._other_at else 1
-        is_silent = tick - self.tick > MAX_JUMP  # an outage with this jump has taken as long
+        is_silent = tick - self.tick > MAX_JUMP * self._every  # an outage with this jump has taken as long
         if self._row >= RESYNC_FRAMES and is_silent and self._pace.ahead < SUSPECT:
             gap = (counter - self.expected) % COUNTER_MODULUS
             self._leave()

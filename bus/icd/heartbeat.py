@@ -7,7 +7,13 @@ from collections.abc import Iterator
 from bus.icd.codec import DECODERS
 from bus.wire.frames import FRAME
 
+HEARTBEAT_S = 1.0  # between two of a node, and between two TIME frames
 BOOT, STOPPED, OPERATIONAL, PRE_OPERATIONAL, FAILED = 0, 4, 5, 127, 128  # STATE of the frame
+
+
+def count_heartbeat_ticks(tick_s: float) -> int:
+    """Ticks between two heartbeats."""
+    return max(1, round(HEARTBEAT_S / tick_s))
 
 
 def find_heartbeats(batch: bytes, frame_id: int) -> Iterator[tuple[int, int]]:

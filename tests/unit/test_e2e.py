@@ -44,14 +44,15 @@ def torque_frame(counter: int, torque_nm: float, tick: int) -> bytes:
 
 
 def mix(
-    offset: int, ticks: int, every: int = 1, period: int = 1, burst: int = 1, start: int = 5
+    offset: int, ticks: int, every: int = 1, period: int = 1, burst: int = 1, start: int = 5, known: int = 1
 ) -> tuple[Link, int, int]:
     """The link after a rightful sender (0.01 N m) and an intruder (0.5 N m), and how many frames of each were taken.
 
     offset : of the intruder's counter from the rightful one's when it starts
-    every : ticks between the intruder's frames, period : between the rightful one's; burst : frames at once
+    every : ticks between the intruder's frames, period : between the rightful one's, of which the receiver knows `known`
+    burst : frames at once
     """
-    link = Link(icd_codec.decode_RW1_CMD)
+    link = Link(icd_codec.decode_RW1_CMD, known)
     taken = {0.01: 0, 0.5: 0}
     theirs = start // period + offset
     for tick in range(ticks):
@@ -187,6 +188,27 @@ def test_a_second_sender_of_a_slow_message_is_noticed(offset: int) -> None:
     link, _, intruding = mix(offset, 2000, every=10, period=10, start=50)
     assert intruding == 0
     assert link.rivals > 0
+
+
+@pytest.mark.parametrize("offset", range(15))
+@pytest.mark.parametrize("shift", [0, 50])
+def test_a_second_sender_of_the_heartbeat_is_noticed_in_ten_seconds(offset: int, shift: int) -> None:
+    """Once a second, at 100 Hz: the receiver knows how often, so the counter cannot go round faster unnoticed."""
+    link, _, intruding = mix(offset, 1000 + shift, every=100, period=100, start=shift, known=100)
+    assert link.rivals > 0
+    assert offset in (0, 1, 2, 3, 4, 14) or intruding == 0
+
+
+def test_a_slow_sender_that_loses_frames_is_no_second_sender() -> None:
+    """Heartbeats, each lost with a chance of one half, for an hour; and with one more than is due after each change."""
+    link, draw, counter = Link(icd_codec.decode_RW1_CMD, 100), Random(1).random, 0
+    for tick in range(0, 360_000, 100):
+        for _ in range(2 if tick % 40_000 == 0 else 1):
+            if draw() < 0.5:
+                link.accept(torque_frame(counter, 0.01, tick), tick)
+            counter += 1
+    assert link.accepted > 1000
+    assert link.rivals == 0
 
 
 @pytest.mark.parametrize("burst", [2, 3, 8])
