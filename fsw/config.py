@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
-from bus.units import Ge, Gt, Seconds, Vec4
+from bus.units import Vec4
 from fsw import allocators, controllers, estimation, gyro_fdi, observers, wheel_health
-from fsw.allocators.pseudo_inverse import PseudoInverseConfig
+from fsw.allocators.settings import PseudoInverseConfig
 from fsw.guidance.timeline import TimelineEntry
-from fsw.gyro_fdi.none import NoDetectorConfig
-from fsw.modes import ModesConfig
-from fsw.vehicle import ModelConfig
-from fsw.wheel_health.none import NoWheelHealthConfig
+from fsw.gyro_fdi.settings import NoDetectorConfig
+from fsw.settings import ExecutiveConfig, GuidanceConfig, ModelConfig, ModesConfig
+from fsw.wheel_health.settings import NoWheelHealthConfig
 
 if TYPE_CHECKING:
     EstimatorConfig: TypeAlias = Any
@@ -28,23 +27,6 @@ else:  # whatever is registered can be chosen
     WheelHealthConfig = wheel_health.REGISTRY.settings
     ControllerConfig = controllers.REGISTRY.settings
     AllocatorConfig = allocators.REGISTRY.settings
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ExecutiveConfig:
-    """Rates and what to do when a cycle is late. The base rate is the run's tick rate."""
-
-    control_divider: Annotated[int, Ge(1)] = 1  # observe, guide, control, allocate every n-th tick
-    overrun: Literal["skip", "catch_up", "degrade", "safe"] = "skip"
-    max_consecutive_slips: Annotated[int, Ge(1)] = 50  # past this the run ends as an infrastructure failure
-    watchdog_s: Annotated[Seconds, Gt(0)] = 2.0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GuidanceConfig:
-    """How a target that moves is followed."""
-
-    feed_forward: bool = True  # the torque that the target's own motion takes is added to the law's
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -19,8 +19,8 @@ from bus.icd.e2e import Link, LinkGroup, part_group
 from bus.icd.heartbeat import count_heartbeat_ticks
 from bus.units import Vec4
 from bus.wire.frames import FRAME
-from fsw.modes import ModesConfig
 from fsw.records import ALL_AXES, Sensors
+from fsw.settings import ModesConfig
 from fsw.vehicle import Vehicle
 
 Values = tuple[int | float, ...]  # (counter, high nibble, payload...) as the decoder returns them

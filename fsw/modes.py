@@ -11,24 +11,10 @@ Detumble and safe mode damp the rate, for which a good rate is enough; without o
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import IntEnum
-from typing import Annotated, Literal
 
-from bus.units import DEG, Ge, Gt, Positive, Seconds, Unit, Vec3
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ModesConfig:
-    """When to change mode."""
-
-    initial: Literal["standby", "detumble", "point", "safe"] = "point"  # entered once sensors are valid
-    detumble_above_deg_s: Annotated[float, Unit("deg/s"), Gt(0)] = 5.0
-    point_below_deg_s: Annotated[float, Unit("deg/s"), Gt(0)] = 2.0
-    stale_after_ticks: Annotated[int, Ge(1)] = 5  # K: last good value is held this long, then the unit is stale
-    star_stale_after_s: Annotated[Seconds, Gt(0)] = 5.0
-    recover_after_ticks: Annotated[int, Ge(1)] = 20  # good ticks before safe is left
-    damping_nm_s: Positive = 20.0  # rate damping gain in detumble and safe [N m s/rad]
+from bus.units import DEG, Vec3
+from fsw.settings import ModesConfig
 
 
 class Mode(IntEnum):

@@ -3,41 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Annotated
 
 from bus.errors import ConfigError
 from bus.linear import invert_symmetric
-from bus.units import Gt, Mat3, RadS, Unit, Vec3, Vec4
+from bus.units import Mat3, Vec3, Vec4
+from fsw.settings import ModelConfig, WheelModelConfig
 from fsw.wheel_geometry import SKEW, WheelGeometry
-
-NewtonMetre = Annotated[float, Unit("N m"), Gt(0)]
-KgM2 = Annotated[float, Unit("kg m^2"), Gt(0)]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class WheelModelConfig:
-    """One wheel as the flight software knows it."""
-
-    axis_b: Vec3  # spin axis, body axes; normalised when read
-    max_torque_nm: NewtonMetre = 0.1
-    max_speed_rad_s: Annotated[RadS, Gt(0)] = 1000.0
-    inertia_kgm2: KgM2 = 0.01  # rotor, about its spin axis
-
-
-FourWheels = tuple[WheelModelConfig, WheelModelConfig, WheelModelConfig, WheelModelConfig]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ModelConfig:
-    """What the flight software believes about the satellite."""
-
-    inertia_kgm2: Annotated[Mat3, Unit("kg m^2")]
-    wheel_max_torque_nm: NewtonMetre = 0.1  # of each wheel, where `wheels` is not given
-    wheel_max_speed_rad_s: Annotated[RadS, Gt(0)] = 1000.0
-    wheel_inertia_kgm2: KgM2 = 0.01
-    wheels: FourWheels | None = None  # None: along x, y, z and (1, 1, 1)
-    wheel_momentum: bool = True  # count the wheels' momentum in the gyroscopic term
 
 
 class Vehicle:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from fsw.allocators.pseudo_inverse import PseudoInverse, PseudoInverseConfig
-from fsw.allocators.transpose import Transpose, TransposeConfig
+from fsw.allocators.pseudo_inverse import PseudoInverse
+from fsw.allocators.settings import PseudoInverseConfig, TransposeConfig
+from fsw.allocators.transpose import Transpose
 from fsw.families import Allocator, Registry
 
 REGISTRY: Registry[Allocator] = Registry(

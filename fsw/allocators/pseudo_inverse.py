@@ -2,26 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated, Literal
-
-from bus.units import Gt, Le, Vec3, Vec4
+from bus.units import Vec3, Vec4
+from fsw.allocators.settings import PseudoInverseConfig
 from fsw.families import NoInternals
 from fsw.records import ALL_WHEELS, Allocation, WheelHealth
 from fsw.vehicle import Vehicle
 
 FULL: Vec4 = (1.0, 1.0, 1.0, 1.0)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PseudoInverseConfig:
-    """tau_rw = D0^T (D0 D0^T)^-1 tau, then limited per wheel (`clip`) or scaled as a whole (`direction`)."""
-
-    kind: Literal["pseudo_inverse"]
-    saturation: Literal["clip", "direction"] = "clip"
-    share_min: Annotated[float, Gt(0), Le(1)] = (
-        0.15  # a wheel judged weaker is still asked as if it gave this share [1]
-    )
 
 
 class PseudoInverse:

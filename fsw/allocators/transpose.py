@@ -2,20 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
-
 from bus.units import Vec3
+from fsw.allocators.settings import TransposeConfig
 from fsw.families import NoInternals
 from fsw.records import Allocation, WheelHealth
 from fsw.vehicle import Vehicle
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TransposeConfig:
-    """tau_rw = sat(D0^T tau): no wheel knows of the others, and together they give more than was asked for."""
-
-    kind: Literal["transpose"]
 
 
 class Transpose:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from fsw.controllers.braking_profile import BrakingProfile, BrakingProfileConfig
-from fsw.controllers.smc import SlidingMode, SmcConfig
-from fsw.controllers.variable_structure import VariableStructure, VariableStructureConfig
+from fsw.controllers.braking_profile import BrakingProfile
+from fsw.controllers.settings import BrakingProfileConfig, SmcConfig, VariableStructureConfig
+from fsw.controllers.smc import SlidingMode
+from fsw.controllers.variable_structure import VariableStructure
 from fsw.families import Controller, Registry
 
 REGISTRY: Registry[Controller] = Registry(

@@ -7,34 +7,16 @@ wheel health stage, which learns it in flight; no fault is known beforehand. Der
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Annotated, Literal, NamedTuple
+from typing import NamedTuple
 
 from bus.linear import ZERO3, times
-from bus.units import Ge, Gt, Le, Positive, Vec3, Vec4
+from bus.units import Vec3, Vec4
+from fsw.controllers.settings import BrakingProfileConfig
 from fsw.records import PointingError, WheelHealth
 from fsw.vehicle import Vehicle
 
 BRAKING_MIN_RAD_S2 = 2e-4  # slowest braking planned on: a wheel set judged dead would otherwise never move again
 VECTOR_MIN = 1e-9  # |q| below which the eigenaxis has no direction
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BrakingProfileConfig:
-    """Sliding surface along a braking profile, s = w - w_d(theta); its margin adapts to what the wheels give.
-
-    Made for `wheel_health: share_learner`, which tells it what they give.
-    """
-
-    kind: Literal["braking_profile"]
-    eta: Annotated[float, Gt(0), Le(1)] = 0.9  # share of the braking authority planned on, close to the target [1]
-    k_theta: Positive = 0.8  # slope of the profile at the target [1/s]
-    k_s: Positive = 0.6  # gain from the surface to acceleration [1/s]
-    adapt: bool = True  # False: braking_share and eta throughout, whatever the wheels give
-    braking_share: Annotated[float, Gt(0), Le(1)] = 0.4  # of each wheel's torque, planned on where adapt is off [1]
-    eta_far: Annotated[float, Gt(0), Le(1)] = 0.3  # share planned on far from the target, where a fault costs most [1]
-    far_rad: Positive = 0.25  # distance over which eta passes to eta_far
-    reserve: Annotated[float, Ge(0), Le(1)] = 0.2  # weight of "one more wheel fails" in the braking authority [1]
 
 
 class BrakingProfileInternals(NamedTuple):

@@ -5,27 +5,16 @@ Source: Zhang, Ye & Sun 2018 (J. NUDT 40(1)), eqs (33)-(35).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 from bus.linear import ZERO3
-from bus.units import Positive, Vec3
+from bus.units import Vec3
+from fsw.controllers.settings import SmcConfig
 from fsw.records import PointingError, WheelHealth
 from fsw.vehicle import Vehicle
 
 BETA_MIN = 1e-3  # the proof needs a positive slope; far below the 0.18..0.4 that the laws settle at
 BETA_MAX = 10.0  # beta^2 = 100 rad/s on the surface: a slope that no wheel set follows
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SmcConfig:
-    """Sliding-mode law with adaptive surface slope, Zhang, Ye & Sun 2018, eqs (33)-(35)."""
-
-    kind: Literal["smc"]
-    k1: Positive = 5.6  # [N m s/rad]; k2 = 1/k1
-    mu: Positive = 2.0
-    beta0: Positive = 0.4
-    beta_law: Literal["published", "lyapunov", "fixed"] = "published"
 
 
 class SmcInternals(NamedTuple):

@@ -6,22 +6,13 @@ After Hu, Xiao & Friswell, IET Control Theory & Applications 5(2), 2011. It stan
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 from bus.linear import ZERO3
-from bus.units import Positive, Vec3
+from bus.units import Vec3
+from fsw.controllers.settings import VariableStructureConfig
 from fsw.records import PointingError, WheelHealth
 from fsw.vehicle import Vehicle
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class VariableStructureConfig:
-    """Variable-structure law, tau = -(tau_max/epsilon) s, s = w + k q (a baseline). Made for `allocator: transpose`."""
-
-    kind: Literal["variable_structure"]
-    k: Positive = 0.12  # [rad/s]
-    epsilon: Positive = 0.003  # boundary layer [rad/s]
 
 
 class VariableStructureInternals(NamedTuple):

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from fsw.estimation.direct import Direct, DirectConfig
-from fsw.estimation.mekf import Mekf, MekfConfig
+from fsw.estimation.direct import Direct
+from fsw.estimation.mekf import Mekf
+from fsw.estimation.settings import DirectConfig, MekfConfig
 from fsw.families import Estimator, Registry
 
 REGISTRY: Registry[Estimator] = Registry(

@@ -2,22 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
-
 from bus.attitude import IDENTITY
 from bus.linear import ZERO3
+from fsw.estimation.settings import DirectConfig
 from fsw.families import NoInternals
 from fsw.records import Estimate, Sensors
 from fsw.rotation import turn
 from fsw.vehicle import Vehicle
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DirectConfig:
-    """Star-tracker attitude carried forward with the gyro rate; no filtering. For ideal sensors."""
-
-    kind: Literal["direct"]
 
 
 class Direct:

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
-from typing import Annotated, Literal, NamedTuple
+from typing import NamedTuple
 
 from bus.attitude import conjugate, dcm_from_quaternion, log_map, multiply, normalise
 from bus.linear import ZERO3, times
-from bus.units import Gt, Mat3, Positive, Unit, Vec3, Vec4
+from bus.units import Mat3, Vec3, Vec4
+from fsw.estimation.settings import MekfConfig
 from fsw.records import Estimate, Sensors
 from fsw.rotation import turn
 from fsw.vehicle import Vehicle
@@ -28,19 +28,6 @@ _VALID_SIGMA_RAD = 0.02  # attitude known worse than this is not fit for pointin
 
 _Sym3 = tuple[float, float, float, float, float, float]  # xx, xy, xz, yy, yz, zz
 _Mat9 = tuple[float, float, float, float, float, float, float, float, float]  # row by row
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MekfConfig:
-    """Multiplicative extended Kalman filter with gyro bias states (Lefferts, Markley & Shuster 1982)."""
-
-    kind: Literal["mekf"]
-    gyro_arw_rad_sqrt_s: Positive = 2.91e-5
-    gyro_rrw_rad_s_sqrt_s: Positive = 1e-7
-    star_noise_arcsec: Annotated[Vec3, Unit("arcsec")] = (10.0, 10.0, 52.0)
-    initial_attitude_sigma_deg: Annotated[float, Unit("deg"), Gt(0)] = 1.0
-    initial_bias_sigma_rad_s: Positive = 1e-3
-    gate_sigma: Positive = 6.0  # innovations beyond this are rejected and counted
 
 
 class MekfInternals(NamedTuple):

@@ -2,21 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated, Literal
-
-from bus.units import Ge, Seconds, Vec4
 from fsw.guidance.attitudes import read_attitude
+from fsw.guidance.settings import HoldConfig
 from fsw.records import Target
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class HoldConfig:
-    """Point to an attitude at once and stay there: a step, which the control law takes as it can."""
-
-    do: Literal["hold"]
-    at_s: Annotated[Seconds, Ge(0)]
-    target_q: Vec4 | None = None  # q_it, scalar first; normalised when read; none: where the target stands at that time
 
 
 class Hold:

@@ -3,24 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Annotated, Literal
 
 from bus.attitude import conjugate, exp_map, log_map, multiply, normalise
-from bus.units import DEG, Ge, Gt, Seconds, Unit, Vec3, Vec4
+from bus.units import DEG, Vec3
 from fsw.guidance.attitudes import read_attitude
+from fsw.guidance.settings import SlewConfig
 from fsw.records import Target
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SlewConfig:
-    """Turn the target to another attitude about the eigenaxis, the short way, from rest to rest."""
-
-    do: Literal["slew"]
-    at_s: Annotated[Seconds, Ge(0)]
-    target_q: Vec4  # q_it at the end, scalar first; normalised when read
-    max_rate_deg_s: Annotated[float, Unit("deg/s"), Gt(0)] = 0.2
-    max_acceleration_deg_s2: Annotated[float, Unit("deg/s^2"), Gt(0)] = 0.01
 
 
 class Slew:

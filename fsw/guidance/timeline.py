@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any
 from bus.commands import Command
 from bus.settings import build, plain
 from fsw.families import Guide
-from fsw.guidance.hold import Hold, HoldConfig
-from fsw.guidance.slew import Slew, SlewConfig
-from fsw.guidance.track import Track, TrackConfig
+from fsw.guidance.hold import Hold
+from fsw.guidance.settings import HoldConfig, SlewConfig, TrackConfig
+from fsw.guidance.slew import Slew
+from fsw.guidance.track import Track
 from fsw.records import Target
 
 PREFIX = "target."

@@ -3,25 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Annotated, Literal
 
 from bus.attitude import exp_map, multiply
 from bus.linear import ZERO3
-from bus.units import DEG, Ge, Seconds, Unit, Vec3, Vec4
+from bus.units import DEG, Vec3
 from fsw.guidance.attitudes import read_attitude
+from fsw.guidance.settings import TrackConfig
 from fsw.records import Target
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TrackConfig:
-    """Let the target turn at a constant rate about an axis fixed in it, which is then fixed in inertial space too."""
-
-    do: Literal["track"]
-    at_s: Annotated[Seconds, Ge(0)]
-    rate_deg_s: Annotated[Vec3, Unit("deg/s")]  # omega_ti, target axes
-    rise_s: Annotated[Seconds, Ge(0)] = 0.0  # time in which the rate comes up linearly from zero; 0: a step
-    target_q: Vec4 | None = None  # q_it at at_s, scalar first; none: where the target stands at that time
 
 
 class Track:

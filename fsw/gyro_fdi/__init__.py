@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from fsw.families import Detector, Registry
-from fsw.gyro_fdi.none import NoDetector, NoDetectorConfig
+from fsw.gyro_fdi.none import NoDetector
 from fsw.gyro_fdi.practical import PracticalDetector
-from fsw.gyro_fdi.practical_settings import PracticalDetectorConfig
-from fsw.gyro_fdi.wang2010 import Wang2010Detector, Wang2010DetectorConfig
+from fsw.gyro_fdi.settings import NoDetectorConfig, PracticalDetectorConfig, Wang2010DetectorConfig
+from fsw.gyro_fdi.wang2010 import Wang2010Detector
 
 REGISTRY: Registry[Detector] = Registry(
     (NoDetectorConfig, NoDetector),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from fsw.gyro_fdi.practical_settings import PracticalDetectorConfig
+from fsw.gyro_fdi.settings import PracticalDetectorConfig
 
 
 class Fog(NamedTuple):

@@ -2,21 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
-
 from bus.linear import ZERO3
 from bus.units import Vec4
 from fsw.families import NoInternals
+from fsw.gyro_fdi.settings import NoDetectorConfig
 from fsw.records import Detection, Estimate, Sensors
 from fsw.vehicle import Vehicle
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class NoDetectorConfig:
-    """No fault detection: the estimate passes through."""
-
-    kind: Literal["none"]
 
 
 class NoDetector:

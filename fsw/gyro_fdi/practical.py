@@ -23,8 +23,8 @@ from fsw.gyro_fdi.momentum_filter import MomentumFilter
 from fsw.gyro_fdi.observers import GyroObserver
 from fsw.gyro_fdi.parity import Frame, Healthy, Mark, Parity, interpolate
 from fsw.gyro_fdi.plausibility import Plausibility, bound_acceleration
-from fsw.gyro_fdi.practical_settings import PracticalDetectorConfig
 from fsw.gyro_fdi.recovery import AxisRecovery, AxisState
+from fsw.gyro_fdi.settings import PracticalDetectorConfig
 from fsw.records import Detection, Estimate, Sensors
 from fsw.rotation import turn
 from fsw.vehicle import Vehicle

@@ -6,34 +6,19 @@ knows the true rate; wheel momentum is counted where the model says so; threshol
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated, Literal, NamedTuple
+from typing import NamedTuple
 
 from bus.attitude import normalise
 from bus.linear import ZERO3, subtract
-from bus.units import Ge, Gt, Positive, RadS, Vec3, Vec4
+from bus.units import Vec3, Vec4
 from fsw.gyro_fdi.momentum_filter import MomentumFilter
 from fsw.gyro_fdi.observers import GyroObserver
+from fsw.gyro_fdi.settings import Wang2010DetectorConfig
 from fsw.records import Detection, Estimate, Sensors
 from fsw.rotation import turn
 from fsw.vehicle import Vehicle
 
 _PREMISE_BANDWIDTH_RAD_S = 0.6
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Wang2010DetectorConfig:
-    """The gyro fault observers of Wang, Li & Ma 2010: one residual against one threshold. See docs/gyro-fdi.md.
-
-    Gyro alone and open loop at heart: it holds only while torque, inertia and wheel momentum are known.
-    """
-
-    kind: Literal["wang2010"]
-    observer: Literal["linear", "ts_a", "ts_b", "ts_bx", "static"] = "ts_b"
-    threshold_rad_s: Annotated[RadS, Gt(0)] = 0.0008  # on the residual of each axis
-    debounce_ticks: Annotated[int, Ge(1)] = 1  # residuals beyond the threshold in a row
-    static_gain_rad_s: Positive = 0.05  # for `static`
-    recovery: Literal["off", "on"] = "off"  # on: the residual is taken off the rate while the alarm stands
 
 
 class Wang2010Internals(NamedTuple):

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from fsw.families import Observer, Registry
-from fsw.observers.ilo import Ilo, IloConfig
-from fsw.observers.none import NoObserver, NoObserverConfig
+from fsw.observers.ilo import Ilo
+from fsw.observers.none import NoObserver
+from fsw.observers.settings import IloConfig, NoObserverConfig
 
 REGISTRY: Registry[Observer] = Registry(
     (IloConfig, Ilo),

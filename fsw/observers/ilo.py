@@ -5,30 +5,19 @@ Source: Zhang, Ye & Sun 2018 (J. NUDT 40(1)), eqs (12)-(13).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Annotated, Literal, NamedTuple
+from dataclasses import replace
+from typing import NamedTuple
 
 from bus.errors import ConfigError, StepSizeError
 from bus.linear import ZERO3
-from bus.units import Ge, Gt, Le, NonNegative, Seconds, Vec3
+from bus.units import Vec3
+from fsw.observers.settings import IloConfig
 from fsw.vehicle import Vehicle
 
 PERIOD_TOLERANCE = 0.01  # the gains belong to one period; 1 % of jitter in its nominal value is harmless
 GAP_PERIODS = 5.0  # forward Euler over more of them is no estimate
 # A rate error of 1 rad/s would read as 98 N m, a thousand times what the wheels have: only the state is lost.
 RESTART_ABOVE_RAD_S = 1.0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class IloConfig:
-    """Iterative learning observer, Zhang, Ye & Sun 2018, eqs (12)-(13). Gains belong to `period_s`."""
-
-    kind: Literal["ilo"]
-    period_s: Annotated[Seconds, Gt(0)] = 0.1
-    k1: Annotated[float, Ge(0), Le(1)] = 0.15  # [1]
-    k2: NonNegative = 98.0  # [N m s/rad]
-    k3: NonNegative = 21.0  # [N m s/rad]
-    lambda_nm_s: NonNegative = 0.1  # [N m s/rad]
 
 
 class IloInternals(NamedTuple):

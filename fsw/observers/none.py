@@ -2,20 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
-
 from bus.linear import ZERO3
 from bus.units import Vec3
 from fsw.families import NoInternals
+from fsw.observers.settings import NoObserverConfig
 from fsw.vehicle import Vehicle
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class NoObserverConfig:
-    """No fault-torque estimate (zeros)."""
-
-    kind: Literal["none"]
 
 
 class NoObserver:

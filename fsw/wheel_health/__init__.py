@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from fsw.families import Registry, WheelHealthMonitor
-from fsw.wheel_health.none import NoWheelHealth, NoWheelHealthConfig
-from fsw.wheel_health.share_learner import ShareLearner, ShareLearnerConfig
-from fsw.wheel_health.torque_monitor import TorqueMonitor, TorqueMonitorConfig
+from fsw.wheel_health.none import NoWheelHealth
+from fsw.wheel_health.settings import NoWheelHealthConfig, ShareLearnerConfig, TorqueMonitorConfig
+from fsw.wheel_health.share_learner import ShareLearner
+from fsw.wheel_health.torque_monitor import TorqueMonitor
 
 REGISTRY: Registry[WheelHealthMonitor] = Registry(
     (NoWheelHealthConfig, NoWheelHealth),

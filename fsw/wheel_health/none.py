@@ -2,20 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
-
 from bus.units import Vec3, Vec4
 from fsw.families import NoInternals, Wheels
 from fsw.records import HEALTHY, WheelHealth
 from fsw.vehicle import Vehicle
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class NoWheelHealthConfig:
-    """Every wheel is taken to be healthy."""
-
-    kind: Literal["none"]
+from fsw.wheel_health.settings import NoWheelHealthConfig
 
 
 class NoWheelHealth:

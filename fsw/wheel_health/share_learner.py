@@ -3,27 +3,17 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Annotated, Literal
 
 from bus.linear import ZERO4
-from bus.units import Gt, Seconds, Vec3, Vec4
+from bus.units import Vec3, Vec4
 from fsw.families import NoInternals, Wheels
 from fsw.records import ALL_WHEELS, NO_WHEEL, WheelHealth
 from fsw.vehicle import Vehicle
+from fsw.wheel_health.settings import ShareLearnerConfig
 
 HEALTHY_SHARES: Vec4 = (1.0, 1.0, 1.0, 1.0)
 # Share of a wheel's torque: commands far below it teach nothing; there, misalignment and drag look like lost torque.
 LEARN_FLOOR = 0.2
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ShareLearnerConfig:
-    """Shares of their commands that the wheels deliver, learnt by a normalised gradient from the observer's fault torque."""
-
-    kind: Literal["share_learner"]
-    learn_s: Annotated[Seconds, Gt(0)] = 0.28  # time constant of learning, at full torque
-    observer_lag_s: Annotated[Seconds, Gt(0)] = 0.3  # time constant of the observer that reports the fault torque
 
 
 class ShareLearner:

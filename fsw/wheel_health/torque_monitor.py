@@ -2,29 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated, Literal, NamedTuple
+from typing import NamedTuple
 
 from bus.linear import ZERO3, ZERO4
-from bus.units import Gt, Seconds, Unit, Vec3, Vec4
+from bus.units import Vec3, Vec4
 from fsw.families import Wheels
 from fsw.records import ALL_WHEELS, Flags4, WheelHealth
 from fsw.vehicle import Vehicle
+from fsw.wheel_health.settings import TorqueMonitorConfig
 
 _RELEASE = 0.5  # an alarm ends once the residual is below this part of the threshold ...
 _RELEASE_S = 5.0  # ... for this long
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TorqueMonitorConfig:
-    """An alarm for every wheel whose torque, from its speed, is not what was commanded."""
-
-    kind: Literal["torque_monitor"]
-    threshold_nm: Annotated[float, Unit("N m"), Gt(0)] = 0.01  # residual that is a fault
-    filter_s: Annotated[Seconds, Gt(0)] = 1.0  # time constant of the low pass that the residual goes through
-    reaction: Literal["report", "isolate"] = (
-        "isolate"  # isolate: a wheel with an alarm is switched off and not used again
-    )
 
 
 class TorqueMonitorInternals(NamedTuple):

@@ -18,7 +18,8 @@ from hypothesis import strategies as st
 from bus.units import Vec3, Vec4
 from fsw import allocators, controllers, estimation, gyro_fdi, observers, wheel_health
 from fsw.records import HEALTHY, Estimate, PointingError, Sensors, WheelHealth, WheelReading
-from fsw.vehicle import ModelConfig, Vehicle
+from fsw.settings import ModelConfig
+from fsw.vehicle import Vehicle
 
 PERIOD_S = 0.1
 LIMIT_NM = 0.1

@@ -16,9 +16,9 @@ import pytest
 
 from fsw.gyro_fdi import REGISTRY
 from fsw.gyro_fdi.classification import FaultKind
-from fsw.gyro_fdi.practical_settings import PracticalDetectorConfig
-from fsw.gyro_fdi.wang2010 import Wang2010DetectorConfig
-from fsw.vehicle import ModelConfig, Vehicle
+from fsw.gyro_fdi.settings import PracticalDetectorConfig, Wang2010DetectorConfig
+from fsw.settings import ModelConfig
+from fsw.vehicle import Vehicle
 from plant_server.faults import Fault, make_fault
 from tools.config.scenario import Resolved
 from tools.design import fdi_campaign

@@ -15,10 +15,12 @@ import pytest
 
 from fsw.gyro_fdi.classification import FaultKind
 from fsw.gyro_fdi.practical import PracticalDetector, PracticalInternals
-from fsw.gyro_fdi.practical_settings import PracticalDetectorConfig
+from fsw.gyro_fdi.settings import PracticalDetectorConfig
 from fsw.records import Detection, Estimate, Sensors, WheelReading
-from fsw.vehicle import ModelConfig, Vehicle
-from fsw.wheel_health.torque_monitor import TorqueMonitor, TorqueMonitorConfig
+from fsw.settings import ModelConfig
+from fsw.vehicle import Vehicle
+from fsw.wheel_health.settings import TorqueMonitorConfig
+from fsw.wheel_health.torque_monitor import TorqueMonitor
 
 DATA = Path(__file__).parents[1] / "data" / "gyro"
 VEHICLE = Vehicle(ModelConfig(inertia_kgm2=((45.0, 3.0, 2.0), (3.0, 38.0, -1.5), (2.0, -1.5, 50.0))))

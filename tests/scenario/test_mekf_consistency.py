@@ -9,9 +9,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from fsw.estimation.mekf import Mekf, MekfConfig
+from fsw.estimation.mekf import Mekf
+from fsw.estimation.settings import MekfConfig
 from fsw.records import Sensors
-from fsw.vehicle import ModelConfig, Vehicle
+from fsw.settings import ModelConfig
+from fsw.vehicle import Vehicle
 
 VEHICLE = Vehicle(ModelConfig(inertia_kgm2=((45.0, 3.0, 2.0), (3.0, 38.0, -1.5), (2.0, -1.5, 50.0))))
 CONFIG = MekfConfig(kind="mekf")

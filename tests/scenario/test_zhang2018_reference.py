@@ -15,18 +15,23 @@ import numpy as np
 import pytest
 
 from bus.linear import subtract
-from fsw.allocators.pseudo_inverse import PseudoInverse, PseudoInverseConfig
-from fsw.allocators.transpose import Transpose, TransposeConfig
-from fsw.controllers.braking_profile import BrakingProfile, BrakingProfileConfig
-from fsw.controllers.smc import SlidingMode, SmcConfig
-from fsw.controllers.variable_structure import VariableStructure, VariableStructureConfig
+from fsw.allocators.pseudo_inverse import PseudoInverse
+from fsw.allocators.settings import PseudoInverseConfig, TransposeConfig
+from fsw.allocators.transpose import Transpose
+from fsw.controllers.braking_profile import BrakingProfile
+from fsw.controllers.settings import BrakingProfileConfig, SmcConfig, VariableStructureConfig
+from fsw.controllers.smc import SlidingMode
+from fsw.controllers.variable_structure import VariableStructure
 from fsw.guidance import Guidance
-from fsw.observers.ilo import Ilo, IloConfig
-from fsw.observers.none import NoObserver, NoObserverConfig
+from fsw.observers.ilo import Ilo
+from fsw.observers.none import NoObserver
+from fsw.observers.settings import IloConfig, NoObserverConfig
 from fsw.records import HEALTHY, PointingError, four_readings
-from fsw.vehicle import ModelConfig, Vehicle
-from fsw.wheel_health.none import NoWheelHealth, NoWheelHealthConfig
-from fsw.wheel_health.share_learner import ShareLearner, ShareLearnerConfig
+from fsw.settings import ModelConfig
+from fsw.vehicle import Vehicle
+from fsw.wheel_health.none import NoWheelHealth
+from fsw.wheel_health.settings import NoWheelHealthConfig, ShareLearnerConfig
+from fsw.wheel_health.share_learner import ShareLearner
 
 DATA = Path(__file__).parents[1] / "data" / "zhang2018"
 J = np.array([[45.0, 3.0, 2.0], [3.0, 38.0, -1.5], [2.0, -1.5, 50.0]])

@@ -14,9 +14,8 @@ from bus.errors import ConfigError
 from bus.run import RunConfig
 from bus.settings import build
 from fsw.config import FswConfig
-from fsw.controllers.variable_structure import VariableStructureConfig
-from fsw.observers.ilo import IloConfig
-from fsw.observers.none import NoObserverConfig
+from fsw.controllers.settings import VariableStructureConfig
+from fsw.observers.settings import IloConfig, NoObserverConfig
 from plant_server.config import PlantConfig
 from plant_server.faults import make_fault
 from tools.config import load_scenario, load_text

@@ -15,7 +15,8 @@ from fsw.gyro_fdi.momentum_filter import MomentumFilter
 from fsw.gyro_fdi.parity import Frame, Healthy, Parity, interpolate
 from fsw.gyro_fdi.plausibility import Plausibility, bound_acceleration
 from fsw.gyro_fdi.recovery import AxisRecovery, AxisState
-from fsw.vehicle import ModelConfig, Vehicle
+from fsw.settings import ModelConfig
+from fsw.vehicle import Vehicle
 
 J = ((45.0, 3.0, 2.0), (3.0, 38.0, -1.5), (2.0, -1.5, 50.0))
 TICK_S = 0.05

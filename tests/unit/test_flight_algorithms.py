@@ -12,15 +12,20 @@ from scipy.spatial.transform import Rotation
 
 from bus.errors import ConfigError, StepSizeError
 from bus.units import Vec3, Vec4
-from fsw.allocators.pseudo_inverse import PseudoInverse, PseudoInverseConfig
-from fsw.controllers.braking_profile import BrakingProfile, BrakingProfileConfig
-from fsw.controllers.smc import SlidingMode, SmcConfig
-from fsw.estimation.direct import Direct, DirectConfig
+from fsw.allocators.pseudo_inverse import PseudoInverse
+from fsw.allocators.settings import PseudoInverseConfig
+from fsw.controllers.braking_profile import BrakingProfile
+from fsw.controllers.settings import BrakingProfileConfig, SmcConfig
+from fsw.controllers.smc import SlidingMode
+from fsw.estimation.direct import Direct
+from fsw.estimation.settings import DirectConfig
 from fsw.guidance.guidance import HYSTERESIS_Q0, Guidance
-from fsw.observers.ilo import GAP_PERIODS, Ilo, IloConfig, scale_gains
+from fsw.observers.ilo import GAP_PERIODS, Ilo, scale_gains
+from fsw.observers.settings import IloConfig
 from fsw.records import HEALTHY, PointingError, Sensors, WheelHealth
 from fsw.rotation import turn
-from fsw.vehicle import ModelConfig, Vehicle, invert_inertia
+from fsw.settings import ModelConfig
+from fsw.vehicle import Vehicle, invert_inertia
 
 J = ((45.0, 3.0, 2.0), (3.0, 38.0, -1.5), (2.0, -1.5, 50.0))
 MODEL = ModelConfig(inertia_kgm2=J)

@@ -13,10 +13,10 @@ from bus.errors import ConfigError
 from bus.units import Vec4
 from fsw.families import Guide
 from fsw.guidance.guidance import Guidance, feed_forward
-from fsw.guidance.hold import HoldConfig
-from fsw.guidance.slew import Slew, SlewConfig
+from fsw.guidance.settings import HoldConfig, SlewConfig, TrackConfig
+from fsw.guidance.slew import Slew
 from fsw.guidance.timeline import GUIDES, make_command, make_guide
-from fsw.guidance.track import Track, TrackConfig
+from fsw.guidance.track import Track
 from fsw.records import Target
 
 DEG = math.pi / 180.0

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from bus.units import DEG
-from fsw.modes import Mode, ModeManager, ModesConfig
+from fsw.modes import Mode, ModeManager
+from fsw.settings import ModesConfig
 
 TICK_S = 0.1
 STILL = (0.0, 0.0, 0.0)

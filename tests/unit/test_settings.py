@@ -18,8 +18,8 @@ from bus.run import RunConfig, run_hash
 from bus.settings import build, join_key, plain
 from bus.units import Gt, Le, Seconds, Unit, Vec3
 from fsw.config import FswConfig
-from fsw.estimation.mekf import MekfConfig
-from fsw.observers.ilo import IloConfig
+from fsw.estimation.settings import MekfConfig
+from fsw.observers.settings import IloConfig
 from plant_server.config import ExclusionConfig, PlantConfig, StarTrackerConfig
 
 ROOT = Path(__file__).resolve().parents[2]

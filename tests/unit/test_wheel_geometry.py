@@ -10,7 +10,8 @@ from scipy.optimize import linprog
 
 from bus.errors import ConfigError
 from bus.units import Vec3, Vec4
-from fsw.vehicle import ModelConfig, Vehicle, WheelModelConfig
+from fsw.settings import ModelConfig, WheelModelConfig
+from fsw.vehicle import Vehicle
 from fsw.wheel_geometry import WheelGeometry
 
 INERTIA = ((45.0, 3.0, 2.0), (3.0, 38.0, -1.5), (2.0, -1.5, 50.0))

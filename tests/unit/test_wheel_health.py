@@ -10,9 +10,11 @@ import pytest
 from bus.units import Vec3, Vec4
 from fsw.families import Wheels
 from fsw.records import ALL_WHEELS, NO_WHEEL, WheelHealth, WheelReading
-from fsw.vehicle import ModelConfig, Vehicle
-from fsw.wheel_health.share_learner import ShareLearner, ShareLearnerConfig
-from fsw.wheel_health.torque_monitor import TorqueMonitor, TorqueMonitorConfig
+from fsw.settings import ModelConfig
+from fsw.vehicle import Vehicle
+from fsw.wheel_health.settings import ShareLearnerConfig, TorqueMonitorConfig
+from fsw.wheel_health.share_learner import ShareLearner
+from fsw.wheel_health.torque_monitor import TorqueMonitor
 
 VEHICLE = Vehicle(ModelConfig(inertia_kgm2=((45.0, 3.0, 2.0), (3.0, 38.0, -1.5), (2.0, -1.5, 50.0))))
 D0 = np.hstack([np.eye(3), np.full((3, 1), 1.0 / np.sqrt(3.0))])

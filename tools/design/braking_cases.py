@@ -17,13 +17,13 @@ import numpy as np
 
 from bus.run import ClockConfig
 from bus.units import DEG, Mat3, Vec3, Vec4
-from fsw.allocators.pseudo_inverse import PseudoInverseConfig
+from fsw.allocators.settings import PseudoInverseConfig
 from fsw.config import AllocatorConfig, ControllerConfig, FswConfig, ObserverConfig, WheelHealthConfig
-from fsw.estimation.direct import DirectConfig
-from fsw.modes import ModesConfig
-from fsw.observers.ilo import IloConfig, scale_gains
-from fsw.vehicle import ModelConfig
-from fsw.wheel_health.none import NoWheelHealthConfig
+from fsw.estimation.settings import DirectConfig
+from fsw.observers.ilo import scale_gains
+from fsw.observers.settings import IloConfig
+from fsw.settings import ModelConfig, ModesConfig
+from fsw.wheel_health.settings import NoWheelHealthConfig
 from plant_server import faults as plant_faults
 from plant_server.config import BodyConfig, GyroConfig, PlantConfig, StarTrackerConfig, WheelConfig
 from plant_server.wheels.axes import Mount, true_axis

@@ -19,13 +19,10 @@ import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
-from fsw.allocators.pseudo_inverse import PseudoInverseConfig
-from fsw.allocators.transpose import TransposeConfig
-from fsw.controllers.braking_profile import BrakingProfileConfig
-from fsw.controllers.smc import SmcConfig
-from fsw.controllers.variable_structure import VariableStructureConfig
-from fsw.observers.none import NoObserverConfig
-from fsw.wheel_health.share_learner import ShareLearnerConfig
+from fsw.allocators.settings import PseudoInverseConfig, TransposeConfig
+from fsw.controllers.settings import BrakingProfileConfig, SmcConfig, VariableStructureConfig
+from fsw.observers.settings import NoObserverConfig
+from fsw.wheel_health.settings import ShareLearnerConfig
 from tools.design.braking_cases import UNTIL_S, Case, Conditions, Law, fly, make_healthy, read_cases
 
 GROUPS = ("zhang2018", "given", "random, seen", "random, fresh")

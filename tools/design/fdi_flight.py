@@ -16,15 +16,14 @@ import numpy as np
 from bus.attitude import IDENTITY, exp_map, multiply
 from bus.run import ClockConfig
 from bus.units import Mat3, Vec3, Vec4
-from fsw.config import DetectorConfig, ExecutiveConfig, FswConfig
-from fsw.controllers.smc import SmcConfig
-from fsw.estimation.mekf import MekfConfig
-from fsw.gyro_fdi.practical_settings import PracticalDetectorConfig
-from fsw.modes import ModesConfig
-from fsw.observers.ilo import IloConfig
+from fsw.config import DetectorConfig, FswConfig
+from fsw.controllers.settings import SmcConfig
+from fsw.estimation.settings import MekfConfig
+from fsw.gyro_fdi.settings import PracticalDetectorConfig
+from fsw.observers.settings import IloConfig
 from fsw.records import Detection, Flags4, Sensors
-from fsw.vehicle import ModelConfig
-from fsw.wheel_health.torque_monitor import TorqueMonitorConfig
+from fsw.settings import ExecutiveConfig, ModelConfig, ModesConfig
+from fsw.wheel_health.settings import TorqueMonitorConfig
 from plant_server.config import BodyConfig, GyroConfig, PlantConfig, StarTrackerConfig, WheelConfig
 from plant_server.faults import Fault, make_fault
 from plant_server.truth import Truth

@@ -49,7 +49,7 @@ class PointingError:
         errors = np.full(len(places), np.nan)
         for i, (attitude, index) in enumerate(zip(attitudes.tolist(), which, strict=True)):
             if index >= 0:
-                errors[i] = angle_between(targets[index], attitude) / DEG
+                errors[i] = angle_between(tuple(targets[index]), tuple(attitude)) / DEG
         self._target = targets[-1] if targets else None
         filled = np.frombuffer(data, np.uint8).copy()
         filled[(places + error_at)[:, None] + np.arange(8)] = errors.view(np.uint8).reshape(-1, 8)

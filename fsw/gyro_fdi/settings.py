@@ -1,4 +1,4 @@
-"""Settings of the practical detector. See docs/gyro-fdi.md, section 3."""
+"""Settings of the gyro fault detectors. Data only."""
 
 from __future__ import annotations
 
@@ -6,6 +6,13 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from bus.units import Ge, Gt, Le, NonNegative, Positive, RadS, Seconds, Unit, Vec3, Vec4
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NoDetectorConfig:
+    """No fault detection: the estimate passes through."""
+
+    kind: Literal["none"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,3 +43,18 @@ class PracticalDetectorConfig:
     star_lost_after_s: Annotated[Seconds, Gt(0)] = 0.6  # past this without a frame the gyro carries the filters
     safe_after_s: Annotated[Seconds, Gt(0)] = 30.0  # past this without frames and without a good gyro: safe mode
     cycle_s: Annotated[Seconds, Gt(0)] = 0.05  # detection runs at the multiple of the tick nearest to this
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Wang2010DetectorConfig:
+    """The gyro fault observers of Wang, Li & Ma 2010: one residual against one threshold. See docs/gyro-fdi.md.
+
+    Gyro alone and open loop at heart: it holds only while torque, inertia and wheel momentum are known.
+    """
+
+    kind: Literal["wang2010"]
+    observer: Literal["linear", "ts_a", "ts_b", "ts_bx", "static"] = "ts_b"
+    threshold_rad_s: Annotated[RadS, Gt(0)] = 0.0008  # on the residual of each axis
+    debounce_ticks: Annotated[int, Ge(1)] = 1  # residuals beyond the threshold in a row
+    static_gain_rad_s: Positive = 0.05  # for `static`
+    recovery: Literal["off", "on"] = "off"  # on: the residual is taken off the rate while the alarm stands

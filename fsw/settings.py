@@ -1,0 +1,69 @@
+"""Settings of the flight software beside those of its algorithms, which stand in their families. Data only."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from bus.units import Ge, Gt, Mat3, Positive, RadS, Seconds, Unit, Vec3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExecutiveConfig:
+    """Rates and what to do when a cycle is late. The base rate is the run's tick rate."""
+
+    control_divider: Annotated[int, Ge(1)] = 1  # observe, guide, control, allocate every n-th tick
+    overrun: Literal["skip", "catch_up", "degrade", "safe"] = "skip"
+    max_consecutive_slips: Annotated[int, Ge(1)] = 50  # past this the run ends as an infrastructure failure
+    watchdog_s: Annotated[Seconds, Gt(0)] = 2.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GuidanceConfig:
+    """How a target that moves is followed."""
+
+    feed_forward: bool = True  # the torque that the target's own motion takes is added to the law's
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ModesConfig:
+    """When to change mode."""
+
+    initial: Literal["standby", "detumble", "point", "safe"] = "point"  # entered once sensors are valid
+    detumble_above_deg_s: Annotated[float, Unit("deg/s"), Gt(0)] = 5.0
+    point_below_deg_s: Annotated[float, Unit("deg/s"), Gt(0)] = 2.0
+    stale_after_ticks: Annotated[int, Ge(1)] = 5  # K: last good value is held this long, then the unit is stale
+    star_stale_after_s: Annotated[Seconds, Gt(0)] = 5.0
+    recover_after_ticks: Annotated[int, Ge(1)] = 20  # good ticks before safe is left
+    damping_nm_s: Positive = 20.0  # rate damping gain in detumble and safe [N m s/rad]
+
+
+NewtonMetre = Annotated[float, Unit("N m"), Gt(0)]
+
+
+KgM2 = Annotated[float, Unit("kg m^2"), Gt(0)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WheelModelConfig:
+    """One wheel as the flight software knows it."""
+
+    axis_b: Vec3  # spin axis, body axes; normalised when read
+    max_torque_nm: NewtonMetre = 0.1
+    max_speed_rad_s: Annotated[RadS, Gt(0)] = 1000.0
+    inertia_kgm2: KgM2 = 0.01  # rotor, about its spin axis
+
+
+FourWheels = tuple[WheelModelConfig, WheelModelConfig, WheelModelConfig, WheelModelConfig]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ModelConfig:
+    """What the flight software believes about the satellite."""
+
+    inertia_kgm2: Annotated[Mat3, Unit("kg m^2")]
+    wheel_max_torque_nm: NewtonMetre = 0.1  # of each wheel, where `wheels` is not given
+    wheel_max_speed_rad_s: Annotated[RadS, Gt(0)] = 1000.0
+    wheel_inertia_kgm2: KgM2 = 0.01
+    wheels: FourWheels | None = None  # None: along x, y, z and (1, 1, 1)
+    wheel_momentum: bool = True  # count the wheels' momentum in the gyroscopic term
