@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 from bus.icd.ranges import find_signal, quantise_torque
 from bus.linear import ZERO4
 from bus.units import Vec4
 from fsw.records import ALL_WHEELS, WheelCommands, WheelHealth
 
-OFF, TORQUE = 0, 1  # mode of a command frame
+OFF: Final = 0  # mode of a command frame
+TORQUE: Final = 1
 ALL_OFF, ALL_TORQUE = (OFF, OFF, OFF, OFF), (TORQUE, TORQUE, TORQUE, TORQUE)
 _SIGNAL = find_signal("RW1_CMD", "TORQUE")
-_SCALE = _SIGNAL.scale
-_LEAST, _LARGEST = round(_SIGNAL.minimum / _SCALE), round(_SIGNAL.maximum / _SCALE)
+_SCALE: Final = _SIGNAL.scale
+_LEAST: Final = round(_SIGNAL.minimum / _SCALE)
+_LARGEST: Final = round(_SIGNAL.maximum / _SCALE)
 REST = WheelCommands(ALL_OFF, ZERO4, 0)
 
 

@@ -18,11 +18,12 @@ import signal
 from collections.abc import Iterator
 from dataclasses import dataclass
 from types import FrameType
+from typing import Final
 
 from bus.clock import MonotonicClock
 from bus.errors import DeadlineError
 
-DEGRADED_CYCLES = 20  # cycles on time before shed rate groups come back
+DEGRADED_CYCLES: Final = 20  # cycles on time before shed rate groups come back
 
 
 @dataclass(slots=True)

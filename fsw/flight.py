@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Final
 
 from bus.attitude import IDENTITY
 from bus.commands import Command
@@ -27,7 +28,7 @@ from fsw.records import HEALTHY, Allocation, Detection, Estimate, PointingError,
 from fsw.schedule import flight_schedule
 from fsw.vehicle import Vehicle
 
-DEG_PER_RAD = 180.0 / math.pi
+DEG_PER_RAD: Final = 180.0 / math.pi
 
 
 class Flight:

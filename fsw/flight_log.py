@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import chain
+from typing import Final
 
 from bus.commands import Command
 from bus.telemetry.link import Link, Row, TickPacker, announce_topics, pack_input, stamp
@@ -22,8 +23,9 @@ from fsw.telemetry import (
     read_tick,
 )
 
-SAFE_ASKED, SHEDDING = 1, 2  # flags of /fsw/input
-WAIT_S = 1.0  # a mode that waits for longer says for what
+SAFE_ASKED: Final = 1  # flags of /fsw/input
+SHEDDING: Final = 2
+WAIT_S: Final = 1.0  # a mode that waits for longer says for what
 
 
 class FlightLog:

@@ -11,6 +11,7 @@ same bus is not answered; it is named as the trouble only when no fitting one ca
 from __future__ import annotations
 
 import time
+from typing import Final
 
 from bus.errors import PeerLostError, UsageError
 from bus.icd.heartbeat import find_heartbeats
@@ -18,7 +19,7 @@ from bus.wire.transport import Transport
 from fsw.inputs import HEARTBEAT_PLANT_ID
 from fsw.outputs import STATE_BOOT, STATE_OPERATIONAL, STATE_STOPPED, Outputs
 
-CALL_EVERY_S = 0.05
+CALL_EVERY_S: Final = 0.05
 
 
 def plant_stopped(batch: bytes, run_hash: int) -> bool:

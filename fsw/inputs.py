@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Final
 
 from bus.attitude import IDENTITY
 from bus.icd.codec import DECODERS, SENSORS_SIZE, decode_sensors
@@ -28,15 +29,18 @@ Handler = Callable[[Values], None]
 
 FOG_IDS = (0x1A0, 0x1A1, 0x1A2)
 WHEEL_IDS = (0x190, 0x191, 0x192, 0x193)
-STAR_A_ID, STAR_B_ID = 0x1B0, 0x1B1
-SYNC_ID, TIME_ID, HEARTBEAT_PLANT_ID = 0x080, 0x100, 0x701
+STAR_A_ID: Final = 0x1B0
+STAR_B_ID: Final = 0x1B1
+SYNC_ID: Final = 0x080
+TIME_ID: Final = 0x100
+HEARTBEAT_PLANT_ID: Final = 0x701
 SLOW_IDS = (TIME_ID, HEARTBEAT_PLANT_ID)
 GROUP_IDS = (*WHEEL_IDS, *FOG_IDS, SYNC_ID)  # the frames of every tick, in the order in which the plant sends them
 
-STATUS_OK = 0
-STAR_NOT_VALID = 15
-QUATERNION_NORM_TOLERANCE = 0.01  # a pair of halves further from unit norm than this is not an attitude
-NEVER = -(10**9)  # tick of a unit that has not been heard yet
+STATUS_OK: Final = 0
+STAR_NOT_VALID: Final = 15
+QUATERNION_NORM_TOLERANCE: Final = 0.01  # a pair of halves further from unit norm than this is not an attitude
+NEVER: Final = -(10**9)  # tick of a unit that has not been heard yet
 
 
 @dataclass(slots=True)

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 from bus.icd.codec import encode_CYCLE_DONE, encode_HEARTBEAT_FSW, encode_rw_cmds
 from fsw.records import WheelCommands
 
-COUNTER_PERIOD = 15  # alive counters run 0..14
-STATE_BOOT, STATE_STOPPED, STATE_OPERATIONAL, STATE_FAILED = 0, 4, 5, 128
+COUNTER_PERIOD: Final = 15  # alive counters run 0..14
+STATE_BOOT: Final = 0
+STATE_STOPPED: Final = 4
+STATE_OPERATIONAL: Final = 5
+STATE_FAILED: Final = 128
 
 
 class Outputs:

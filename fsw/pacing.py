@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 from bus.clock import PEER_TIMEOUT_S, QUIET_S, MonotonicClock
 from bus.errors import PeerLostError
 from bus.icd.codec import decode_SYNC
@@ -13,8 +15,8 @@ from fsw.inputs import SYNC_ID
 from fsw.node import FswNode
 
 SYNC_TAIL = SYNC_ID.to_bytes(4, "little")
-END_SLACK_TICKS = 5  # real time: the plant's clock may be ahead of ours by as much when it ends
-OVERRUN_WORDS_S = 1.0  # a line about missed deadlines at most this often
+END_SLACK_TICKS: Final = 5  # real time: the plant's clock may be ahead of ours by as much when it ends
+OVERRUN_WORDS_S: Final = 1.0  # a line about missed deadlines at most this often
 
 
 class LockStep:

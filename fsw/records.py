@@ -7,10 +7,9 @@ that whoever needs a value of an earlier cycle keeps the value and not the recor
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
 from bus.attitude import IDENTITY
 from bus.linear import ZERO3, ZERO4
+from bus.record import Record
 from bus.units import Vec3, Vec4
 
 Flags3 = tuple[bool, bool, bool]  # one per gyro axis
@@ -20,35 +19,66 @@ ALL_WHEELS: Flags4 = (True, True, True, True)
 NO_WHEEL: Flags4 = (False, False, False, False)
 
 
-@dataclass(slots=True)
-class WheelReading:
+class WheelReading(Record):
     """What one wheel reports. A value that has not come for a while is held and marked not valid."""
 
-    speed_rad_s: float = 0.0  # of the rotor, relative to the body, about the nominal axis
-    current_a: float = 0.0  # of the motor
-    status: int = 0  # as its frame says: 0 ok, 1 fault, 2 no command, 3 speed limit
-    valid: bool = True  # False once its last frame is older than the staleness limit
-    h_nms: float = 0.0  # momentum relative to the body: speed times rotor inertia
+    __slots__ = ("current_a", "h_nms", "speed_rad_s", "status", "valid")
+
+    def __init__(
+        self, speed_rad_s: float = 0.0, current_a: float = 0.0, status: int = 0, valid: bool = True, h_nms: float = 0.0
+    ) -> None:
+        self.speed_rad_s = speed_rad_s  # of the rotor, relative to the body, about the nominal axis
+        self.current_a = current_a  # of the motor
+        self.status = status  # as its frame says: 0 ok, 1 fault, 2 no command, 3 speed limit
+        self.valid = valid  # False once its last frame is older than the staleness limit
+        self.h_nms = h_nms  # momentum relative to the body: speed times rotor inertia
 
 
-def four_readings() -> tuple[WheelReading, WheelReading, WheelReading, WheelReading]:
+FourReadings = tuple[WheelReading, WheelReading, WheelReading, WheelReading]
+
+
+def four_readings() -> FourReadings:
     """Four wheels at rest that have been heard."""
     return (WheelReading(), WheelReading(), WheelReading(), WheelReading())
 
 
-@dataclass(slots=True)
-class Sensors:
+class Sensors(Record):
     """What the validated bus traffic up to one tick says. A stale or failed unit is marked, never left out."""
 
-    tick: int = 0
-    t_s: float = 0.0  # tick * base period
-    omega_meas_b_rad_s: Vec3 = ZERO3  # gyro rate per axis, mean over the last tick; last good value where not valid
-    gyro_valid: Flags3 = ALL_AXES
-    q_ib_meas: Vec4 = IDENTITY  # star-tracker attitude, scalar first, unit norm
-    star_new: bool = False  # True on the tick on which q_ib_meas arrived
-    star_valid: bool = False  # False once the last one is older than the staleness limit
-    star_age_s: float = 0.0  # age of q_ib_meas at this tick (0.0: measured at this tick)
-    wheels: tuple[WheelReading, WheelReading, WheelReading, WheelReading] = field(default_factory=four_readings)
+    __slots__ = (
+        "gyro_valid",
+        "omega_meas_b_rad_s",
+        "q_ib_meas",
+        "star_age_s",
+        "star_new",
+        "star_valid",
+        "t_s",
+        "tick",
+        "wheels",
+    )
+
+    def __init__(
+        self,
+        tick: int = 0,
+        t_s: float = 0.0,
+        omega_meas_b_rad_s: Vec3 = ZERO3,
+        gyro_valid: Flags3 = ALL_AXES,
+        q_ib_meas: Vec4 = IDENTITY,
+        star_new: bool = False,
+        star_valid: bool = False,
+        star_age_s: float = 0.0,
+        wheels: FourReadings | None = None,
+    ) -> None:
+        self.tick = tick
+        self.t_s = t_s  # tick * base period
+        # gyro rate per axis, mean over the last tick; last good value where not valid
+        self.omega_meas_b_rad_s = omega_meas_b_rad_s
+        self.gyro_valid = gyro_valid
+        self.q_ib_meas = q_ib_meas  # star-tracker attitude, scalar first, unit norm
+        self.star_new = star_new  # True on the tick on which q_ib_meas arrived
+        self.star_valid = star_valid  # False once the last one is older than the staleness limit
+        self.star_age_s = star_age_s  # age of q_ib_meas at this tick (0.0: measured at this tick)
+        self.wheels: FourReadings = four_readings() if wheels is None else wheels
 
     def wheel_momenta(self) -> Vec4:
         """Momentum of each wheel relative to the body [N m s]; last good value where not valid."""
@@ -61,48 +91,73 @@ class Sensors:
         return (a.valid, b.valid, c.valid, d.valid)
 
 
-@dataclass(slots=True)
-class Estimate:
+class Estimate(Record):
     """Attitude and rate as the controllers use them."""
 
-    q_ib: Vec4  # scalar first, Hamilton: v_i = R(q_ib) v_b
-    omega_bi_b_rad_s: Vec3
-    bias_b_rad_s: Vec3  # gyro bias estimate (zeros where the estimator has none)
-    valid: bool  # False: not fit for pointing
+    __slots__ = ("bias_b_rad_s", "omega_bi_b_rad_s", "q_ib", "valid")
+
+    def __init__(self, q_ib: Vec4, omega_bi_b_rad_s: Vec3, bias_b_rad_s: Vec3, valid: bool) -> None:
+        self.q_ib = q_ib  # scalar first, Hamilton: v_i = R(q_ib) v_b
+        self.omega_bi_b_rad_s = omega_bi_b_rad_s
+        self.bias_b_rad_s = bias_b_rad_s  # gyro bias estimate (zeros where the estimator has none)
+        self.valid = valid  # False: not fit for pointing
 
 
-@dataclass(slots=True)
-class Detection:
+class Detection(Record):
     """What gyro fault detection found, and the estimate to use from here on."""
 
-    estimate: Estimate
-    rate_step_b_rad_s: Vec3  # jump of the rate source at this tick, for bumpless transfer to observers (usually zeros)
-    gyro_state: tuple[int, int, int]  # 0 nominal, 1 suspect, 2 alarm, 3 classified
-    fault_hat_b_rad_s: Vec3  # gyro fault estimate per axis
-    request_safe: bool  # True: rate knowledge is no longer good enough to point
-    rate_good: bool  # False: the rate above is not fit even for damping (no gyro and nothing in its place)
+    __slots__ = ("estimate", "fault_hat_b_rad_s", "gyro_state", "rate_good", "rate_step_b_rad_s", "request_safe")
+
+    def __init__(
+        self,
+        estimate: Estimate,
+        rate_step_b_rad_s: Vec3,
+        gyro_state: tuple[int, int, int],
+        fault_hat_b_rad_s: Vec3,
+        request_safe: bool,
+        rate_good: bool,
+    ) -> None:
+        self.estimate = estimate
+        # jump of the rate source at this tick, for bumpless transfer to observers (usually zeros)
+        self.rate_step_b_rad_s = rate_step_b_rad_s
+        self.gyro_state = gyro_state  # 0 nominal, 1 suspect, 2 alarm, 3 classified
+        self.fault_hat_b_rad_s = fault_hat_b_rad_s  # gyro fault estimate per axis
+        self.request_safe = request_safe  # True: rate knowledge is no longer good enough to point
+        # False: the rate above is not fit even for damping (no gyro and nothing in its place)
+        self.rate_good = rate_good
 
 
-@dataclass(slots=True)
-class WheelHealth:
+class WheelHealth(Record):
     """What is thought of the four wheels."""
 
-    effectiveness: Vec4 = (1.0, 1.0, 1.0, 1.0)  # share of its commanded torque that each gives, 0 .. 1
-    available: Flags4 = ALL_WHEELS  # False: not to be used
-    alarm: Flags4 = NO_WHEEL  # True while a wheel's torque is not what was commanded
-    explained_b_nm: Vec3 = ZERO3  # the part of the observer's fault torque that `effectiveness` accounts for
+    __slots__ = ("alarm", "available", "effectiveness", "explained_b_nm")
+
+    def __init__(
+        self,
+        effectiveness: Vec4 = (1.0, 1.0, 1.0, 1.0),
+        available: Flags4 = ALL_WHEELS,
+        alarm: Flags4 = NO_WHEEL,
+        explained_b_nm: Vec3 = ZERO3,
+    ) -> None:
+        self.effectiveness = effectiveness  # share of its commanded torque that each gives, 0 .. 1
+        self.available = available  # False: not to be used
+        self.alarm = alarm  # True while a wheel's torque is not what was commanded
+        # the part of the observer's fault torque that `effectiveness` accounts for
+        self.explained_b_nm = explained_b_nm
 
 
 HEALTHY = WheelHealth()
 
 
-@dataclass(slots=True)
-class Target:
+class Target(Record):
     """Where the body is to point, and how that moves."""
 
-    q_it: Vec4  # attitude of the target in inertial, scalar first, unit norm
-    omega_ti_t_rad_s: Vec3 = ZERO3  # rate of the target with respect to inertial, target axes
-    alpha_ti_t_rad_s2: Vec3 = ZERO3  # its rate of change, target axes
+    __slots__ = ("alpha_ti_t_rad_s2", "omega_ti_t_rad_s", "q_it")
+
+    def __init__(self, q_it: Vec4, omega_ti_t_rad_s: Vec3 = ZERO3, alpha_ti_t_rad_s2: Vec3 = ZERO3) -> None:
+        self.q_it = q_it  # attitude of the target in inertial, scalar first, unit norm
+        self.omega_ti_t_rad_s = omega_ti_t_rad_s  # rate of the target with respect to inertial, target axes
+        self.alpha_ti_t_rad_s2 = alpha_ti_t_rad_s2  # its rate of change, target axes
 
     @property
     def at_rest(self) -> bool:
@@ -110,29 +165,38 @@ class Target:
         return self.omega_ti_t_rad_s == ZERO3 and self.alpha_ti_t_rad_s2 == ZERO3
 
 
-@dataclass(slots=True)
-class PointingError:
+class PointingError(Record):
     """The body with respect to its target."""
 
-    q_tb: Vec4  # scalar first; the sign is chosen with hysteresis, so that q0 >= 0 but near the half turn
-    omega_bt_b_rad_s: Vec3  # rate of the body with respect to the target, body axes
-    omega_ti_b_rad_s: Vec3 = ZERO3  # the target's own rate, body axes
-    alpha_ti_b_rad_s2: Vec3 = ZERO3  # and its rate of change as seen in inertial, body axes
+    __slots__ = ("alpha_ti_b_rad_s2", "omega_bt_b_rad_s", "omega_ti_b_rad_s", "q_tb")
+
+    def __init__(
+        self, q_tb: Vec4, omega_bt_b_rad_s: Vec3, omega_ti_b_rad_s: Vec3 = ZERO3, alpha_ti_b_rad_s2: Vec3 = ZERO3
+    ) -> None:
+        self.q_tb = q_tb  # scalar first; the sign is chosen with hysteresis, so that q0 >= 0 but near the half turn
+        self.omega_bt_b_rad_s = omega_bt_b_rad_s  # rate of the body with respect to the target, body axes
+        self.omega_ti_b_rad_s = omega_ti_b_rad_s  # the target's own rate, body axes
+        self.alpha_ti_b_rad_s2 = alpha_ti_b_rad_s2  # and its rate of change as seen in inertial, body axes
 
 
-@dataclass(slots=True)
-class Allocation:
+class Allocation(Record):
     """What the wheels are to give."""
 
-    tau_rw_nm: Vec4 = ZERO4  # torque of each wheel on the body, within its limits
-    achieved_b_nm: Vec3 = ZERO3  # the body torque that these add up to, if each wheel gives what it is told
-    margin: float = 1.0  # share of the most loaded wheel's torque that is still free, 0 .. 1
+    __slots__ = ("achieved_b_nm", "margin", "tau_rw_nm")
+
+    def __init__(self, tau_rw_nm: Vec4 = ZERO4, achieved_b_nm: Vec3 = ZERO3, margin: float = 1.0) -> None:
+        self.tau_rw_nm = tau_rw_nm  # torque of each wheel on the body, within its limits
+        # the body torque that these add up to, if each wheel gives what it is told
+        self.achieved_b_nm = achieved_b_nm
+        self.margin = margin  # share of the most loaded wheel's torque that is still free, 0 .. 1
 
 
-@dataclass(slots=True)
-class WheelCommands:
+class WheelCommands(Record):
     """What goes out to the wheels."""
 
-    modes: tuple[int, int, int, int]  # of each command frame: 0 off, 1 torque
-    tau_rw_nm: Vec4  # torque on the body, as the frames carry it
-    saturated: int  # how many of the four had to be cut to what a frame can carry
+    __slots__ = ("modes", "saturated", "tau_rw_nm")
+
+    def __init__(self, modes: tuple[int, int, int, int], tau_rw_nm: Vec4, saturated: int) -> None:
+        self.modes = modes  # of each command frame: 0 off, 1 torque
+        self.tau_rw_nm = tau_rw_nm  # torque on the body, as the frames carry it
+        self.saturated = saturated  # how many of the four had to be cut to what a frame can carry

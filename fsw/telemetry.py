@@ -11,15 +11,15 @@ bench in Python both have their values from there.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, Final
 
 from bus.telemetry.link import Field, Topic
 from fsw.flight import Flight
 
-FIRST_CHANNEL = 101
-INPUT_CHANNEL = 100
-INPUT_TOPIC = "/fsw/input"
-SOURCE = 2  # which stream of the recorder this process writes
+FIRST_CHANNEL: Final = 101
+INPUT_CHANNEL: Final = 100
+INPUT_TOPIC: Final = "/fsw/input"
+SOURCE: Final = 2  # which stream of the recorder this process writes
 
 GUIDANCE = Topic(
     "/fsw/guidance",

@@ -8,15 +8,16 @@ from __future__ import annotations
 
 import itertools
 import math
+from typing import Final
 
 from bus.errors import ConfigError
 from bus.linear import ZERO4, cross, dot, invert_symmetric, times
 from bus.units import Mat3, Vec3, Vec4
 
-SKEW = 1.0 / math.sqrt(3.0)  # of each body axis in the direction of the wheel that is askew to all
-PARALLEL = 1e-9  # sine of the angle below which two axes are one
-FLAT = 1e-6  # determinant of D0 D0^T below which the axes lie in a plane
-NOTHING_NM = 1e-12  # far below any torque, keeps a quotient finite
+SKEW: Final = 1.0 / math.sqrt(3.0)  # of each body axis in the direction of the wheel that is askew to all
+PARALLEL: Final = 1e-9  # sine of the angle below which two axes are one
+FLAT: Final = 1e-6  # determinant of D0 D0^T below which the axes lie in a plane
+NOTHING_NM: Final = 1e-12  # far below any torque, keeps a quotient finite
 WheelAxes = tuple[Vec3, Vec3, Vec3, Vec3]
 
 

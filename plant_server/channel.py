@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
+from typing import Final
 
 from bus.icd.codec import (
     COMMANDS_SIZE,
@@ -34,16 +35,20 @@ from bus.wire.frames import FRAME, FRAME_SIZE
 from plant_server.plant import FaultEvent, Plant, Snapshot
 from plant_server.star_tracker import StarFrame
 
-COUNTER_PERIOD = 15
+COUNTER_PERIOD: Final = 15
 COMMAND_IDS = {0x110: 0, 0x111: 1, 0x112: 2, 0x113: 3}
-CYCLE_DONE_ID, HEARTBEAT_FSW_ID = 0x081, 0x702
+CYCLE_DONE_ID: Final = 0x081
+HEARTBEAT_FSW_ID: Final = 0x702
 GROUP_IDS = (*COMMAND_IDS, CYCLE_DONE_ID)  # the frames of every tick, in the order in which they come
-GROUP_SIZE = len(GROUP_IDS)
-STATE_STOPPED, STATE_OPERATIONAL, STATE_PRE_OPERATIONAL, STATE_FAILED = 4, 5, 127, 128
-STAR_NOT_VALID = 15
+GROUP_SIZE: Final = len(GROUP_IDS)
+STATE_STOPPED: Final = 4
+STATE_OPERATIONAL: Final = 5
+STATE_PRE_OPERATIONAL: Final = 127
+STATE_FAILED: Final = 128
+STAR_NOT_VALID: Final = 15
 Torques = tuple[float | None, float | None, float | None, float | None]  # None: no command
 NO_TORQUE: Torques = ZERO4
-NEVER = -(10**9)  # tick of a command that has not come yet
+NEVER: Final = -(10**9)  # tick of a command that has not come yet
 
 
 @dataclass(slots=True)

@@ -24,13 +24,15 @@ step: whoever takes thousands of steps normalises it now and then.
 from __future__ import annotations
 
 import math
+from typing import Final
 
 from bus.attitude import normalise
 from bus.linear import ZERO3, add, invert_symmetric, times
 from bus.units import Mat3, Vec3, Vec4
 
-NORMALISE_MASK = 0xFF  # the attitude's norm is set right every 256 steps
-THIRD, SIXTH = 1.0 / 3.0, 1.0 / 6.0
+NORMALISE_MASK: Final = 0xFF  # the attitude's norm is set right every 256 steps
+THIRD: Final = 1.0 / 3.0
+SIXTH: Final = 1.0 / 6.0
 
 
 class RigidBody:

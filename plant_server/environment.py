@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from typing import Final
 
 from bus.units import DEG, Mat3, Vec3, Vec4
 from plant_server.config import ConstantTorque, GravityGradient, SinusoidalTorque, TorqueConfig
 
-MU_M3_S2 = 3.986004418e14  # Earth's gravitational parameter, WGS 84
-EARTH_RADIUS_M = 6378137.0  # equatorial, WGS 84
+MU_M3_S2: Final = 3.986004418e14  # Earth's gravitational parameter, WGS 84
+EARTH_RADIUS_M: Final = 6378137.0  # equatorial, WGS 84
 
 
 class Environment:

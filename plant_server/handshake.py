@@ -5,6 +5,8 @@ Flight software of another run on the same bus is not answered; it is named as t
 
 from __future__ import annotations
 
+from typing import Final
+
 from bus.clock import MonotonicClock
 from bus.errors import PeerLostError, UsageError
 from bus.icd.codec import encode_HEARTBEAT_PLANT
@@ -12,7 +14,7 @@ from bus.icd.heartbeat import OPERATIONAL, PRE_OPERATIONAL, find_heartbeats
 from bus.wire.transport import Transport
 from plant_server.channel import HEARTBEAT_FSW_ID, Channel
 
-MEETING_COUNTER = 14  # ahead of the run's first: an answer that is read late does not disturb its sequence
+MEETING_COUNTER: Final = 14  # ahead of the run's first: an answer that is read late does not disturb its sequence
 
 
 def meet_fsw(transport: Transport, channel: Channel, run_hash: int, patience_s: float, clock: MonotonicClock) -> int:

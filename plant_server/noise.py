@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterator
+from typing import Final
 
 import numpy as np
 
-BLOCK = 1024
+BLOCK: Final = 1024
 
 Draw = Callable[[], float]
 

@@ -7,6 +7,7 @@ of his own.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Final
 
 from bus.clock import PEER_TIMEOUT_S, QUIET_S, MonotonicClock
 from bus.errors import DeadlineError, PeerLostError
@@ -19,7 +20,7 @@ Accept = Callable[[bytes], bool]  # hands frames to the plant; True once CYCLE_D
 Exchange = Callable[[bytes, Accept], bytes]  # sends the announced frames, hands in what comes until the tick may end,
 # and returns all of that in order
 
-MAX_LATENESS_S = 2.0  # past this, physics and wall clock have parted and a real-time run is void
+MAX_LATENESS_S: Final = 2.0  # past this, physics and wall clock have parted and a real-time run is void
 
 
 class LockStep:

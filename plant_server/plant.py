@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
 from bus.attitude import rotate
 from bus.errors import ConfigError
 from bus.linear import ZERO3, ZERO4, scale
+from bus.record import Record
 from bus.units import DEG, Mat3, Vec3, Vec4
 from plant_server.config import PlantConfig
 from plant_server.dynamics import RigidBody
@@ -31,35 +31,89 @@ Status3 = tuple[int, int, int]
 Flags3 = tuple[bool, bool, bool]
 
 
-class Samples(NamedTuple):
+class Samples(Record):
     """What the units report at one tick. A silent unit's values are there, but its frame must not be sent."""
 
-    gyro_rate_rad_s: Vec3  # per sensing axis
-    gyro_status: Status3  # 0 ok, 2 out of range
-    gyro_silent: Flags3
-    star: StarFrame | None  # (q_ib, age_ticks); age 15: not valid; None: no frame on this tick
-    wheel_speed_rad_s: Vec4
-    wheel_current_a: Vec4
-    wheel_status: Status4  # 0 ok, 2 no command, 3 speed limit
-    wheel_silent: Flags4
-    events: tuple[FaultEvent, ...]  # what has become of faults since the last samples
+    __slots__ = (
+        "events",
+        "gyro_rate_rad_s",
+        "gyro_silent",
+        "gyro_status",
+        "star",
+        "wheel_current_a",
+        "wheel_silent",
+        "wheel_speed_rad_s",
+        "wheel_status",
+    )
+
+    def __init__(
+        self,
+        gyro_rate_rad_s: Vec3,
+        gyro_status: Status3,
+        gyro_silent: Flags3,
+        star: StarFrame | None,
+        wheel_speed_rad_s: Vec4,
+        wheel_current_a: Vec4,
+        wheel_status: Status4,
+        wheel_silent: Flags4,
+        events: tuple[FaultEvent, ...],
+    ) -> None:
+        self.gyro_rate_rad_s = gyro_rate_rad_s  # per sensing axis
+        self.gyro_status = gyro_status  # 0 ok, 2 out of range
+        self.gyro_silent = gyro_silent
+        self.star = star  # (q_ib, age_ticks); age 15: not valid; None: no frame on this tick
+        self.wheel_speed_rad_s = wheel_speed_rad_s
+        self.wheel_current_a = wheel_current_a
+        self.wheel_status = wheel_status  # 0 ok, 2 no command, 3 speed limit
+        self.wheel_silent = wheel_silent
+        self.events = events  # what has become of faults since the last samples
 
 
-class Snapshot(NamedTuple):
+class Snapshot(Record):
     """What is so at a tick, as it stands in the models; `Plant.flatten` makes the truth of it, at any later time."""
 
-    q_ib: Vec4
-    omega_bi_b_rad_s: Vec3
-    momentum_b_nms: Vec3  # total
-    speed_rad_s: Vec4
-    tau_rw_nm: Vec4  # means over the last tick: of each wheel on the body,
-    tau_b_nm: Vec3  # their sum,
-    external_b_nm: Vec3  # and the external torque
-    command_nm: Vec4
-    command_b_nm: Vec3
-    h_b_nms: Vec3
-    gyro_bias_rad_s: Vec3
-    gyro_fault_rad_s: Vec3
+    __slots__ = (
+        "command_b_nm",
+        "command_nm",
+        "external_b_nm",
+        "gyro_bias_rad_s",
+        "gyro_fault_rad_s",
+        "h_b_nms",
+        "momentum_b_nms",
+        "omega_bi_b_rad_s",
+        "q_ib",
+        "speed_rad_s",
+        "tau_b_nm",
+        "tau_rw_nm",
+    )
+
+    def __init__(
+        self,
+        q_ib: Vec4,
+        omega_bi_b_rad_s: Vec3,
+        momentum_b_nms: Vec3,
+        speed_rad_s: Vec4,
+        tau_rw_nm: Vec4,
+        tau_b_nm: Vec3,
+        external_b_nm: Vec3,
+        command_nm: Vec4,
+        command_b_nm: Vec3,
+        h_b_nms: Vec3,
+        gyro_bias_rad_s: Vec3,
+        gyro_fault_rad_s: Vec3,
+    ) -> None:
+        self.q_ib = q_ib
+        self.omega_bi_b_rad_s = omega_bi_b_rad_s
+        self.momentum_b_nms = momentum_b_nms  # total
+        self.speed_rad_s = speed_rad_s
+        self.tau_rw_nm = tau_rw_nm  # means over the last tick: of each wheel on the body,
+        self.tau_b_nm = tau_b_nm  # their sum,
+        self.external_b_nm = external_b_nm  # and the external torque
+        self.command_nm = command_nm
+        self.command_b_nm = command_b_nm
+        self.h_b_nms = h_b_nms
+        self.gyro_bias_rad_s = gyro_bias_rad_s
+        self.gyro_fault_rad_s = gyro_fault_rad_s
 
 
 class Plant:

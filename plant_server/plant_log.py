@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 from bus.commands import Command
 from bus.telemetry.link import Field, Link, Row, TickPacker, Topic, announce_topics, pack_frames_stamped, stamp
 from bus.wire.frames import FRAME_ID
@@ -11,8 +13,8 @@ from plant_server.faults import FaultEvent
 from plant_server.plant import Plant
 from plant_server.truth import FRAMES_CHANNEL, make_packer
 
-BUS_NAME = "bus0"
-COUNTERS_CHANNEL = 50
+BUS_NAME: Final = "bus0"
+COUNTERS_CHANNEL: Final = 50
 COUNTERS = Topic(
     "/plant/channel",
     "hilsat/PlantChannel",
@@ -26,7 +28,7 @@ COUNTERS = Topic(
     ),
     every="second",
 )
-STAMPS_CHANNEL = 51
+STAMPS_CHANNEL: Final = 51
 STAMPS = Topic(
     f"/can/{BUS_NAME}_kernel_stamps",
     "hilsat/KernelStamp",

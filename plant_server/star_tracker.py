@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from typing import NamedTuple, cast
+from typing import Final, cast
 
 from bus.attitude import IDENTITY, exp_map, multiply, rotate
+from bus.record import Record
 from bus.units import DEG, Vec3, Vec4
 from plant_server.config import StarTrackerConfig
 from plant_server.faults import STAR_TRACKER, FaultTimeline
@@ -14,15 +15,18 @@ from plant_server.faults.effects import StarEffect, StarSample
 from plant_server.faults.timeline import ActiveFault, FaultChain
 from plant_server.noise import open_normals
 
-ARCSEC = DEG / 3600.0  # rad per arc second
-NOT_VALID = 15  # AGE of a frame without an attitude
+ARCSEC: Final = DEG / 3600.0  # rad per arc second
+NOT_VALID: Final = 15  # AGE of a frame without an attitude
 
 
-class StarFrame(NamedTuple):
+class StarFrame(Record):
     """One message of the star tracker."""
 
-    q_ib: Vec4  # measured attitude; the identity when not valid
-    age_ticks: int  # since the measurement, 0..14; NOT_VALID: the tracker is blind
+    __slots__ = ("age_ticks", "q_ib")
+
+    def __init__(self, q_ib: Vec4, age_ticks: int) -> None:
+        self.q_ib = q_ib  # measured attitude; the identity when not valid
+        self.age_ticks = age_ticks  # since the measurement, 0..14; NOT_VALID: the tracker is blind
 
 
 class StarTracker:

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from bus.telemetry.link import Field, TickPacker, Topic
 from bus.units import Vec3, Vec4
 
-FRAMES_CHANNEL = 1
-FIRST_CHANNEL = 2
-SOURCE = 1  # which stream of the recorder this process writes
+FRAMES_CHANNEL: Final = 1
+FIRST_CHANNEL: Final = 2
+SOURCE: Final = 1  # which stream of the recorder this process writes
 
-INTERVAL = "mean over the tick that ended now"
+INTERVAL: Final = "mean over the tick that ended now"
 NO_TARGET = (
     "angle between the attitude and the target of that tick, filled in from the flight software's log; NaN: none known"
 )

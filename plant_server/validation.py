@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from typing import Final
 
 import numpy as np
 
@@ -11,9 +12,9 @@ from bus.settings import Problem
 from bus.units import Mat3, Vec3
 from plant_server.config import PlantConfig, StarTrackerConfig
 
-MAX_STAR_LATENCY_TICKS = 14  # AGE of the star tracker's frames is 0..14; 15 says not valid
-SYMMETRY_TOLERANCE = 1e-9  # of the largest element
-WHOLE_TOLERANCE = 1e-6
+MAX_STAR_LATENCY_TICKS: Final = 14  # AGE of the star tracker's frames is 0..14; 15 says not valid
+SYMMETRY_TOLERANCE: Final = 1e-9  # of the largest element
+WHOLE_TOLERANCE: Final = 1e-6
 
 
 def validate(config: PlantConfig, tick_s: float) -> list[Problem]:

@@ -9,20 +9,21 @@ a receiver that has lost the sequence finds the new one by itself, and notices t
 from __future__ import annotations
 
 from collections.abc import Callable, Container, Sequence
-from typing import Any
+from typing import Any, Final
 
 from fastcrc.crc8 import sae_j1850
 
 from bus.wire.frames import FRAME, FRAME_ID, FRAME_SIZE
 
-COUNTER_MODULUS = 15  # 0..14; 15 on the wire is never valid
+COUNTER_MODULUS: Final = 15  # 0..14; 15 on the wire is never valid
 NEXT_COUNTER = (*range(1, COUNTER_MODULUS), 0, 0)  # by the counter just sent
 
-MAX_JUMP = 3  # of the counter between two frames that are taken: two frames may be lost in a row
-RESYNC_FRAMES = 2  # in a row that a new sequence needs once the old one has fallen silent
-ELDER_FRAMES = 4  # taken since a jump, in which the sequence before it may prove to be alive
-SUSPECT, CERTAIN = 10.0, 30.0  # counts ahead of the sender's rate, from which there is a second sender
-FORGET_PER_TICK = 0.01  # counts ahead that are forgotten per count of that rate, for a sender that started again
+MAX_JUMP: Final = 3  # of the counter between two frames that are taken: two frames may be lost in a row
+RESYNC_FRAMES: Final = 2  # in a row that a new sequence needs once the old one has fallen silent
+ELDER_FRAMES: Final = 4  # taken since a jump, in which the sequence before it may prove to be alive
+SUSPECT: Final = 10.0  # counts ahead of the sender's rate, from which there is a second sender
+CERTAIN: Final = 30.0
+FORGET_PER_TICK: Final = 0.01  # counts ahead that are forgotten per count of that rate, for a sender that started again
 
 OK, LOST, REPEATED, INVALID, JUMP, CRC, LENGTH = OUTCOMES = (
     "ok",  # counter as expected

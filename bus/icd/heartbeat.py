@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Final
 
 from bus.icd.codec import DECODERS
 from bus.wire.frames import FRAME
 
-HEARTBEAT_S = 1.0  # between two of a node, and between two TIME frames
-BOOT, STOPPED, OPERATIONAL, PRE_OPERATIONAL, FAILED = 0, 4, 5, 127, 128  # STATE of the frame
+HEARTBEAT_S: Final = 1.0  # between two of a node, and between two TIME frames
+BOOT: Final = 0  # STATE of the frame
+STOPPED: Final = 4
+OPERATIONAL: Final = 5
+PRE_OPERATIONAL: Final = 127
+FAILED: Final = 128
 
 
 def count_heartbeat_ticks(tick_s: float) -> int:

@@ -9,21 +9,22 @@ from __future__ import annotations
 import struct
 import sys
 from collections.abc import Iterator, Sequence
+from typing import Final
 
-FRAME_SIZE = 16
-READS_AT_ONCE = 4096  # so that a bus that never falls silent does not hold a reader for ever
+FRAME_SIZE: Final = 16
+READS_AT_ONCE: Final = 4096  # so that a bus that never falls silent does not hold a reader for ever
 FRAME = struct.Struct("=IB3x8s")  # can_id with flag bits, dlc, data
 FRAME_ID = struct.Struct("=I12x")
 
-EFF_FLAG = 0x80000000  # 29-bit id
-RTR_FLAG = 0x40000000  # remote frame
-ERR_FLAG = 0x20000000  # error frame; in a filter's id: the filter is inverted
-SFF_MASK = 0x000007FF
-EFF_MASK = 0x1FFFFFFF
+EFF_FLAG: Final = 0x80000000  # 29-bit id
+RTR_FLAG: Final = 0x40000000  # remote frame
+ERR_FLAG: Final = 0x20000000  # error frame; in a filter's id: the filter is inverted
+SFF_MASK: Final = 0x000007FF
+EFF_MASK: Final = 0x1FFFFFFF
 
 Filter = tuple[int, int]  # (id, mask), as CAN_RAW_FILTER: a frame passes when frame_id & mask == id & mask
 
-_FLAG_BYTE = 3 if sys.byteorder == "little" else 0
+_FLAG_BYTE: Final = 3 if sys.byteorder == "little" else 0
 _VALID_DLCS = bytes(range(9))
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from fsw.allocators.pseudo_inverse import PseudoInverse
 from fsw.allocators.settings import PseudoInverseConfig, TransposeConfig
 from fsw.allocators.transpose import Transpose
-from fsw.families import Allocator, Registry
+from fsw.families import Allocator
+from fsw.registry import Registry
 
 REGISTRY: Registry[Allocator] = Registry(
     (PseudoInverseConfig, PseudoInverse),

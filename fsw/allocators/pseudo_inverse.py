@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from bus.units import Vec3, Vec4
 from fsw.allocators.settings import PseudoInverseConfig
-from fsw.families import NoInternals
+from fsw.families import Allocator
 from fsw.records import ALL_WHEELS, Allocation, WheelHealth
 from fsw.vehicle import Vehicle
 
 FULL: Vec4 = (1.0, 1.0, 1.0, 1.0)
 
 
-class PseudoInverse:
+class PseudoInverse(Allocator):
     """The least sum of squares over the wheels' torques, then limited.
 
     "clip" limits each wheel by itself (Zhang, Ye & Sun 2018, eqs (42)-(43)): more torque, in a bent direction.
@@ -23,8 +23,6 @@ class PseudoInverse:
     """
 
     __slots__ = ("_keep_direction", "_share_min", "_wheels")
-
-    internals = NoInternals()
 
     def __init__(self, config: PseudoInverseConfig, vehicle: Vehicle, period_s: float) -> None:
         self._wheels = vehicle.wheels

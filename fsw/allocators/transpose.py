@@ -4,20 +4,18 @@ from __future__ import annotations
 
 from bus.units import Vec3
 from fsw.allocators.settings import TransposeConfig
-from fsw.families import NoInternals
+from fsw.families import Allocator
 from fsw.records import Allocation, WheelHealth
 from fsw.vehicle import Vehicle
 
 
-class Transpose:
+class Transpose(Allocator):
     """tau_rw = sat(D0^T tau), each wheel cut to its own limit. One that is not available gets nothing.
 
     For laws that saturate by design: D0 D0^T > 0, so that what the wheels give together never opposes what was asked for.
     """
 
     __slots__ = ("_wheels",)
-
-    internals = NoInternals()
 
     def __init__(self, config: TransposeConfig, vehicle: Vehicle, period_s: float) -> None:
         self._wheels = vehicle.wheels

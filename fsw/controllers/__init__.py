@@ -6,7 +6,8 @@ from fsw.controllers.braking_profile import BrakingProfile
 from fsw.controllers.settings import BrakingProfileConfig, SmcConfig, VariableStructureConfig
 from fsw.controllers.smc import SlidingMode
 from fsw.controllers.variable_structure import VariableStructure
-from fsw.families import Controller, Registry
+from fsw.families import Controller
+from fsw.registry import Registry
 
 REGISTRY: Registry[Controller] = Registry(
     (BrakingProfileConfig, BrakingProfile),

@@ -7,16 +7,17 @@ wheel health stage, which learns it in flight; no fault is known beforehand. Der
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from bus.linear import ZERO3, times
 from bus.units import Vec3, Vec4
 from fsw.controllers.settings import BrakingProfileConfig
+from fsw.families import Controller
 from fsw.records import PointingError, WheelHealth
 from fsw.vehicle import Vehicle
 
-BRAKING_MIN_RAD_S2 = 2e-4  # slowest braking planned on: a wheel set judged dead would otherwise never move again
-VECTOR_MIN = 1e-9  # |q| below which the eigenaxis has no direction
+BRAKING_MIN_RAD_S2: Final = 2e-4  # slowest braking planned on: a wheel set judged dead would otherwise never move again
+VECTOR_MIN: Final = 1e-9  # |q| below which the eigenaxis has no direction
 
 
 class BrakingProfileInternals(NamedTuple):
@@ -27,7 +28,7 @@ class BrakingProfileInternals(NamedTuple):
     braking_rad_s2: float  # deceleration along the eigenaxis planned on, before eta
 
 
-class BrakingProfile:
+class BrakingProfile(Controller):
     """s = w - w_d, w_d = -e f(theta); the torque is J (-k_s s + w_d') + w x J w - v.
 
     e and theta are eigenaxis and angle of the error, f is the profile:

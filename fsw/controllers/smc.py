@@ -5,16 +5,17 @@ Source: Zhang, Ye & Sun 2018 (J. NUDT 40(1)), eqs (33)-(35).
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from bus.linear import ZERO3
 from bus.units import Vec3
 from fsw.controllers.settings import SmcConfig
+from fsw.families import Controller
 from fsw.records import PointingError, WheelHealth
 from fsw.vehicle import Vehicle
 
-BETA_MIN = 1e-3  # the proof needs a positive slope; far below the 0.18..0.4 that the laws settle at
-BETA_MAX = 10.0  # beta^2 = 100 rad/s on the surface: a slope that no wheel set follows
+BETA_MIN: Final = 1e-3  # the proof needs a positive slope; far below the 0.18..0.4 that the laws settle at
+BETA_MAX: Final = 10.0  # beta^2 = 100 rad/s on the surface: a slope that no wheel set follows
 
 
 class SmcInternals(NamedTuple):
@@ -24,7 +25,7 @@ class SmcInternals(NamedTuple):
     beta: float
 
 
-class SlidingMode:
+class SlidingMode(Controller):
     """tau = -k1 (s + k2 v) as body torque, s = w + beta^2 q, k1 k2 = 1 (eqs (33)-(34)).
 
     Differences from the paper, each checked by derivation in docs/ilo-smc.md:

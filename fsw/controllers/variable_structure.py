@@ -11,6 +11,7 @@ from typing import NamedTuple
 from bus.linear import ZERO3
 from bus.units import Vec3
 from fsw.controllers.settings import VariableStructureConfig
+from fsw.families import Controller
 from fsw.records import PointingError, WheelHealth
 from fsw.vehicle import Vehicle
 
@@ -21,7 +22,7 @@ class VariableStructureInternals(NamedTuple):
     s_b_rad_s: Vec3
 
 
-class VariableStructure:
+class VariableStructure(Controller):
     """tau = -(tau_max/epsilon) s, s = w + k q, whatever the observer says.
 
     With the allocator `transpose`, which cuts each wheel's D0^T tau to its limit, the wheels get what the law was printed

@@ -5,13 +5,13 @@ from __future__ import annotations
 from bus.attitude import IDENTITY
 from bus.linear import ZERO3
 from fsw.estimation.settings import DirectConfig
-from fsw.families import NoInternals
+from fsw.families import Estimator
 from fsw.records import Estimate, Sensors
 from fsw.rotation import turn
 from fsw.vehicle import Vehicle
 
 
-class Direct:
+class Direct(Estimator):
     """Estimator without a filter.
 
     On a tick with a new star-tracker attitude the estimate is that attitude, carried over its age with the present
@@ -20,8 +20,6 @@ class Direct:
     """
 
     __slots__ = ("_known", "_q", "_t_s")
-
-    internals = NoInternals()
 
     def __init__(self, config: DirectConfig, vehicle: Vehicle, period_s: float) -> None:
         """Nothing of these is needed: it reads the time from the sensors."""

@@ -9,22 +9,25 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from bus.attitude import conjugate, dcm_from_quaternion, log_map, multiply, normalise
 from bus.linear import ZERO3, times
 from bus.units import Mat3, Vec3, Vec4
 from fsw.estimation.settings import MekfConfig
+from fsw.families import Estimator
 from fsw.records import Estimate, Sensors
 from fsw.rotation import turn
 from fsw.vehicle import Vehicle
 
-_ARCSEC = math.pi / 648000.0  # rad per second of arc
-_COVARIANCE_PERIOD_S = 0.25  # the covariance is carried forward at least this often
-_HISTORY_S = 1.0  # longest star-tracker latency that can be handled
-_REJECTIONS_TO_RESTART = 5  # as many frames refused in a row mean that the filter is wrong, not the star tracker
-_DEAD_AXIS_RATE_RAD_S = 0.05  # what a rate without a gyro may be, 1 sigma: the filter then follows the star tracker
-_VALID_SIGMA_RAD = 0.02  # attitude known worse than this is not fit for pointing
+_ARCSEC: Final = math.pi / 648000.0  # rad per second of arc
+_COVARIANCE_PERIOD_S: Final = 0.25  # the covariance is carried forward at least this often
+_HISTORY_S: Final = 1.0  # longest star-tracker latency that can be handled
+_REJECTIONS_TO_RESTART: Final = 5  # as many frames refused in a row mean that the filter is wrong, not the star tracker
+_DEAD_AXIS_RATE_RAD_S: Final = (
+    0.05  # what a rate without a gyro may be, 1 sigma: the filter then follows the star tracker
+)
+_VALID_SIGMA_RAD: Final = 0.02  # attitude known worse than this is not fit for pointing
 
 _Sym3 = tuple[float, float, float, float, float, float]  # xx, xy, xz, yy, yz, zz
 _Mat9 = tuple[float, float, float, float, float, float, float, float, float]  # row by row
@@ -42,7 +45,7 @@ class MekfInternals(NamedTuple):
     restarts: int
 
 
-class Mekf:
+class Mekf(Estimator):
     """Attitude, rate and gyro bias with their covariance. Implements `fsw.families.Estimator`."""
 
     def __init__(self, config: MekfConfig, vehicle: Vehicle, tick_s: float) -> None:
@@ -62,7 +65,7 @@ class Mekf:
         self._bias_var0 = config.initial_bias_sigma_rad_s**2
         self._gate2 = config.gate_sigma**2
         self._covariance_ticks = max(1, round(_COVARIANCE_PERIOD_S / tick_s))
-        self._history: deque[tuple[Vec4, Vec4]] = deque(maxlen=max(2, round(_HISTORY_S / tick_s) + 1))
+        self._history: deque[tuple[Vec4, Vec4, int]] = deque(maxlen=max(2, round(_HISTORY_S / tick_s) + 1))
         self.reset()
 
     def reset(self) -> None:
@@ -70,7 +73,8 @@ class Mekf:
         self._started = False
         self._q: Vec4 = (1.0, 0.0, 0.0, 0.0)
         self._bias = ZERO3
-        self._total: Vec4 = (1.0, 0.0, 0.0, 0.0)  # product of all corrections, inertial side
+        self._total: Vec4 = (1.0, 0.0, 0.0, 0.0)  # product of all corrections, inertial side,
+        self._corrections = 0  # and how many they are
         self._rotation: Mat3 = dcm_from_quaternion(self._q)
         self._since = 0  # ticks since the covariance was last carried forward
         self._dead_ticks = 0  # of those, how many with a gyro axis missing
@@ -96,7 +100,7 @@ class Mekf:
                 self._start(sensors, (wx, wy, wz))
             return Estimate(self._q, (wx, wy, wz), b, self._started and gyro_valid)
         self._q = turn(self._q, wx * self._tick_s, wy * self._tick_s, wz * self._tick_s)
-        self._history.append((self._q, self._total))
+        self._history.append((self._q, self._total, self._corrections))
         self._since += 1
         if not gyro_valid:
             self._dead_ticks += 1
@@ -122,7 +126,7 @@ class Mekf:
         self._q = turn(normalise(sensors.q_ib_meas), wx * late, wy * late, wz * late)
         self._rotation = dcm_from_quaternion(self._q)
         self._history.clear()
-        self._history.append((self._q, self._total))
+        self._history.append((self._q, self._total, self._corrections))
         self._since = self._dead_ticks = self._refused_in_a_row = 0
         self._started = True
         self._set_covariance()
@@ -190,8 +194,8 @@ class Mekf:
         ticks = round(late_s / self._tick_s)
         if ticks >= len(self._history):
             return  # taken before the filter started, or longer ago than it remembers
-        then, total_then = self._history[-1 - ticks]
-        if total_then is not self._total:
+        then, total_then, corrections = self._history[-1 - ticks]
+        if corrections != self._corrections:
             then = multiply(multiply(self._total, conjugate(total_then)), then)
         nu = log_map(multiply(normalise(sensors.q_ib_meas), conjugate(then)))
         rotation = self._rotation
@@ -295,10 +299,11 @@ class Mekf:
         correction = turn((1.0, 0.0, 0.0, 0.0), *theta_i_rad)
         self._q = normalise(multiply(correction, self._q))
         self._total = normalise(multiply(correction, self._total))
+        self._corrections += 1
         b = self._bias
         self._bias = (b[0] + bias_b_rad_s[0], b[1] + bias_b_rad_s[1], b[2] + bias_b_rad_s[2])
         self._rotation = dcm_from_quaternion(self._q)
-        self._history[-1] = (self._q, self._total)
+        self._history[-1] = (self._q, self._total, self._corrections)
         self._fit = max(self._ptt[0], self._ptt[3], self._ptt[5]) < _VALID_SIGMA_RAD**2
 
     def _restart_attitude(self, sensors: Sensors) -> None:

@@ -7,6 +7,8 @@ Control 56(11), 2011).
 
 from __future__ import annotations
 
+from typing import Final
+
 from bus.attitude import rotate_back
 from bus.commands import Command
 from bus.linear import cross, subtract
@@ -16,7 +18,7 @@ from fsw.guidance.attitudes import read_attitude
 from fsw.guidance.timeline import make_guide
 from fsw.records import PointingError, Target
 
-HYSTERESIS_Q0 = 0.1  # the sign changes only when q0 < -0.1: 11.5 degrees past the half turn
+HYSTERESIS_Q0: Final = 0.1  # the sign changes only when q0 < -0.1: 11.5 degrees past the half turn
 
 
 class Guidance:

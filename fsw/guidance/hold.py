@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from fsw.families import Guide
 from fsw.guidance.attitudes import read_attitude
 from fsw.guidance.settings import HoldConfig
 from fsw.records import Target
 
 
-class Hold:
+class Hold(Guide):
     """One attitude."""
 
     __slots__ = ("_target",)

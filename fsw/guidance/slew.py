@@ -6,12 +6,13 @@ import math
 
 from bus.attitude import conjugate, exp_map, log_map, multiply, normalise
 from bus.units import DEG, Vec3
+from fsw.families import Guide
 from fsw.guidance.attitudes import read_attitude
 from fsw.guidance.settings import SlewConfig
 from fsw.records import Target
 
 
-class Slew:
+class Slew(Guide):
     """theta'' is +a, 0, -a: a trapezoid in rate, or a triangle where the way is too short for the full rate.
 
     The torque that follows it is J e a at the most, beside the gyroscopic one (Wie, Space Vehicle Dynamics and Control,

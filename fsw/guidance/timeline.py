@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from bus.commands import Command
 from bus.settings import build, plain
@@ -14,7 +14,7 @@ from fsw.guidance.slew import Slew
 from fsw.guidance.track import Track
 from fsw.records import Target
 
-PREFIX = "target."
+PREFIX: Final = "target."
 
 # verb of the command, after PREFIX, and word `do` in the settings -> settings and course
 GUIDES: dict[str, tuple[type, Callable[[Any, Target, float], Guide]]] = {

@@ -7,12 +7,13 @@ import math
 from bus.attitude import exp_map, multiply
 from bus.linear import ZERO3
 from bus.units import DEG, Vec3
+from fsw.families import Guide
 from fsw.guidance.attitudes import read_attitude
 from fsw.guidance.settings import TrackConfig
 from fsw.records import Target
 
 
-class Track:
+class Track(Guide):
     """q_it(t) = q_start exp(e theta(t)), theta' up to the rate within rise_s and constant from then on."""
 
     __slots__ = ("_axis", "_rate", "_rise_s", "_start", "_start_s")

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from fsw.families import Detector, Registry
+from fsw.families import Detector
 from fsw.gyro_fdi.none import NoDetector
 from fsw.gyro_fdi.practical import PracticalDetector
 from fsw.gyro_fdi.settings import NoDetectorConfig, PracticalDetectorConfig, Wang2010DetectorConfig
 from fsw.gyro_fdi.wang2010 import Wang2010Detector
+from fsw.registry import Registry
 
 REGISTRY: Registry[Detector] = Registry(
     (NoDetectorConfig, NoDetector),

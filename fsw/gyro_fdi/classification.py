@@ -10,22 +10,25 @@ from __future__ import annotations
 import math
 from collections.abc import Generator
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
-_SAMPLE_S = 0.2
-_MAX_SAMPLES = 100  # longer windows are averaged down to about as many
-_MAX_FREQUENCY_RAD_S = 6.0
-_LOOKS = 4  # windows of 1, 2, 4 and 8 times the first while the kind is still open
-_TRIALS_PER_CYCLE = 2
-_GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
-_GOLDEN_STEPS = 16
-_MIN_AMPLITUDE_RAD_S, _MIN_AMPLITUDE_OF_MEAN = 5e-4, 0.05
-_MIN_R2, _MIN_BIC_GAIN = 0.5, 10.0
-_MIN_TURN_RAD = 0.8 * 2.0 * math.pi  # less of a period than this tells no frequency
-_SCATTER_OF_CONSTANT, _QUIET_SCATTER_RAD_S = 0.3, 6e-4
+_SAMPLE_S: Final = 0.2
+_MAX_SAMPLES: Final = 100  # longer windows are averaged down to about as many
+_MAX_FREQUENCY_RAD_S: Final = 6.0
+_LOOKS: Final = 4  # windows of 1, 2, 4 and 8 times the first while the kind is still open
+_TRIALS_PER_CYCLE: Final = 2
+_GOLDEN: Final = 0.5 * (math.sqrt(5.0) - 1.0)
+_GOLDEN_STEPS: Final = 16
+_MIN_AMPLITUDE_RAD_S: Final = 5e-4
+_MIN_AMPLITUDE_OF_MEAN: Final = 0.05
+_MIN_R2: Final = 0.5
+_MIN_BIC_GAIN: Final = 10.0
+_MIN_TURN_RAD: Final = 0.8 * 2.0 * math.pi  # less of a period than this tells no frequency
+_SCATTER_OF_CONSTANT: Final = 0.3
+_QUIET_SCATTER_RAD_S: Final = 6e-4
 # A constant is at least so many times its scatter about it. Ten standard errors of 100 samples: their errors hang
 # together (the gyro-less rate is filtered over seconds), and a bias learnt from noise before the alarm is in the mean.
-_STANDS_OUT = 1.0
+_STANDS_OUT: Final = 1.0
 
 
 class FaultKind(IntEnum):

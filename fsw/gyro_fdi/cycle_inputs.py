@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from bus.linear import ZERO3, ZERO4
 from bus.units import Vec3, Vec4
 from fsw.records import Sensors
 
-_MAX_GAP_TICKS = 100  # a longer silence than this is not bridged
+_MAX_GAP_TICKS: Final = 100  # a longer silence than this is not bridged
 
 
 class CycleInputs(NamedTuple):

@@ -6,14 +6,16 @@ learn a gyro fault as bias before it is found.
 
 from __future__ import annotations
 
+from typing import Final
+
 from bus.attitude import conjugate, log_map, multiply, normalise
 from bus.linear import ZERO3
 from bus.units import Vec3, Vec4
 from fsw.rotation import turn
 
-_ATTITUDE_RATE = 0.08  # [1/s]: 0.02 per frame at 4 Hz
-_BIAS_RATE = 4e-4  # [1/s^2]: 1e-4 per frame at 4 Hz
-_MAX_FRAME_AGE_S = 1.0  # gains do not grow beyond frames this far apart
+_ATTITUDE_RATE: Final = 0.08  # [1/s]: 0.02 per frame at 4 Hz
+_BIAS_RATE: Final = 4e-4  # [1/s^2]: 1e-4 per frame at 4 Hz
+_MAX_FRAME_AGE_S: Final = 1.0  # gains do not grow beyond frames this far apart
 
 
 class GyroStellarFilter:

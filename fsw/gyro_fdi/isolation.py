@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
+from typing import Final
 
 from bus.linear import ZERO3
 from bus.units import Mat3, Vec3, Vec4
 
-_MISALIGNMENT = 0.174  # sin 10 deg: how far a wheel's axis may be off
-_INERTIA_ERROR = 0.03
-_CONFIRM_CYCLES = 4
-_LEARNT_MARGIN = 1.5  # the bound stays this factor above the worst model error that the star tracker showed ...
-_LEARNT_FOR_S = 60.0  # ... and comes down over this time
+_MISALIGNMENT: Final = 0.174  # sin 10 deg: how far a wheel's axis may be off
+_INERTIA_ERROR: Final = 0.03
+_CONFIRM_CYCLES: Final = 4
+_LEARNT_MARGIN: Final = 1.5  # the bound stays this factor above the worst model error that the star tracker showed ...
+_LEARNT_FOR_S: Final = 60.0  # ... and comes down over this time
 
 
 class ModelErrorBound:

@@ -7,16 +7,19 @@ can disturb this rate. The star tracker corrects attitude, momentum and a slow e
 
 from __future__ import annotations
 
+from typing import Final
+
 from bus.attitude import conjugate, log_map, multiply, normalise
 from bus.linear import ZERO3, invert_symmetric, times
 from bus.units import Mat3, Vec3, Vec4
 from fsw.rotation import turn
 
-_GATE_RAD, _GATE_RATE_RAD_S = 0.005, 0.02  # a star-tracker frame further off than gate + rate * age is a glitch ...
-_GLITCHES_IN_A_ROW = 3  # ... unless as many come in a row
-_RESTART_AFTER_S = 5.0  # without frames for this long, the next one is taken as it is
-_TORQUE_MEMORY_S = 20.0  # without frames the external torque estimate fades over this time
-_GYRO_PULL_RAD_S = 0.5  # without frames a trusted gyro pulls the momentum at this rate
+_GATE_RAD: Final = 0.005  # a star-tracker frame further off than gate + rate * age is a glitch ...
+_GATE_RATE_RAD_S: Final = 0.02
+_GLITCHES_IN_A_ROW: Final = 3  # ... unless as many come in a row
+_RESTART_AFTER_S: Final = 5.0  # without frames for this long, the next one is taken as it is
+_TORQUE_MEMORY_S: Final = 20.0  # without frames the external torque estimate fades over this time
+_GYRO_PULL_RAD_S: Final = 0.5  # without frames a trusted gyro pulls the momentum at this rate
 
 
 class MomentumFilter:

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from bus.linear import ZERO3
 from bus.units import Vec4
-from fsw.families import NoInternals
+from fsw.families import Detector
 from fsw.gyro_fdi.settings import NoDetectorConfig
 from fsw.records import Detection, Estimate, Sensors
 from fsw.vehicle import Vehicle
 
 
-class NoDetector:
+class NoDetector(Detector):
     """Passes the estimate through."""
-
-    internals = NoInternals()
 
     def __init__(self, config: NoDetectorConfig, vehicle: Vehicle, tick_s: float) -> None:
         """Nothing of these is needed."""

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from typing import Final
 
 from bus.units import Vec3
 from fsw.vehicle import Vehicle
 
-_MEAN_S, _SLOPE_S = 0.25, 1.0  # means over the first are compared at the distance of the second
-_QUIET_START_S = 2.0
-_SIGMAS = 7.0
+_MEAN_S: Final = 0.25  # means over the first are compared at the distance of the second
+_SLOPE_S: Final = 1.0
+_QUIET_START_S: Final = 2.0
+_SIGMAS: Final = 7.0
 
 
 def bound_acceleration(vehicle: Vehicle) -> float:

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from bus.attitude import conjugate, log_map, multiply, normalise
 from bus.linear import ZERO3
 from bus.units import Vec3, Vec4
+from fsw.families import Detector
 from fsw.gyro_fdi.classification import Classifier, FaultKind, Verdict
 from fsw.gyro_fdi.cycle_inputs import CycleCollector, CycleInputs
 from fsw.gyro_fdi.fog import choose_fog
@@ -29,14 +30,15 @@ from fsw.records import Detection, Estimate, Sensors
 from fsw.rotation import turn
 from fsw.vehicle import Vehicle
 
-_ARCSEC = math.pi / 648000.0
-_ACCELERATION_MARGIN = 1.35
-_HISTORY_S = 1.5  # longest star-tracker latency that is bridged
-_SUSPECT_ALARM_RAD_S = 3e-3  # without star tracker: fault estimate that turns a suspect axis into an alarm ...
-_SUSPECT_ALARM_AFTER_S = 1.0  # ... after this long
-_AGREED_BIAS_RAD_S, _AGREED_ATTITUDE_RAD = 3e-5, 1e-3  # estimator and the detector's own filter tell the same
-_AGREE_FOR_S = 10.0
-_BLIND_FACTOR = 10.0  # past this many times safe_after_s without gyro and stars not even damping is safe
+_ARCSEC: Final = math.pi / 648000.0
+_ACCELERATION_MARGIN: Final = 1.35
+_HISTORY_S: Final = 1.5  # longest star-tracker latency that is bridged
+_SUSPECT_ALARM_RAD_S: Final = 3e-3  # without star tracker: fault estimate that turns a suspect axis into an alarm ...
+_SUSPECT_ALARM_AFTER_S: Final = 1.0  # ... after this long
+_AGREED_BIAS_RAD_S: Final = 3e-5  # estimator and the detector's own filter tell the same
+_AGREED_ATTITUDE_RAD: Final = 1e-3
+_AGREE_FOR_S: Final = 10.0
+_BLIND_FACTOR: Final = 10.0  # past this many times safe_after_s without gyro and stars not even damping is safe
 
 
 class PracticalInternals(NamedTuple):
@@ -58,7 +60,7 @@ class PracticalInternals(NamedTuple):
     estimator_used: int  # 1: the estimate handed on is the estimator's, 0: the detector's own
 
 
-class PracticalDetector:
+class PracticalDetector(Detector):
     """Detector of gyro faults with recovery. Implements `fsw.families.Detector`."""
 
     def __init__(self, config: PracticalDetectorConfig, vehicle: Vehicle, tick_s: float) -> None:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from enum import IntEnum
+from typing import Final
 
-_QUICK_S = 0.3  # low pass of the fault estimate that rate steps are taken from
-_POWER_CAP = 10.0  # times the healthy limit: a large fault is not remembered longer than a small one
-_HEALTHY_EXCESS = 1.3  # a healed axis may show this much of the gyro's white noise power
+_QUICK_S: Final = 0.3  # low pass of the fault estimate that rate steps are taken from
+_POWER_CAP: Final = 10.0  # times the healthy limit: a large fault is not remembered longer than a small one
+_HEALTHY_EXCESS: Final = 1.3  # a healed axis may show this much of the gyro's white noise power
 
 
 class AxisState(IntEnum):

@@ -6,10 +6,12 @@ makes the interpolation of the nine local models exact, which the paper's model 
 
 from __future__ import annotations
 
+from typing import Final
+
 from bus.linear import ZERO3, times_matrix
 from bus.units import Mat3, Vec3
 
-OPERATING_RATE_RAD_S = 0.15
+OPERATING_RATE_RAD_S: Final = 0.15
 # Signs of the nine operating points, times OPERATING_RATE_RAD_S; the order is part of every gains file.
 VERTEX_SIGNS: tuple[Vec3, ...] = (
     (0.0, 0.0, 0.0),

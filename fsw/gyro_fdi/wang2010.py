@@ -6,11 +6,12 @@ knows the true rate; wheel momentum is counted where the model says so; threshol
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from bus.attitude import normalise
 from bus.linear import ZERO3, subtract
 from bus.units import Vec3, Vec4
+from fsw.families import Detector
 from fsw.gyro_fdi.momentum_filter import MomentumFilter
 from fsw.gyro_fdi.observers import GyroObserver
 from fsw.gyro_fdi.settings import Wang2010DetectorConfig
@@ -18,7 +19,7 @@ from fsw.records import Detection, Estimate, Sensors
 from fsw.rotation import turn
 from fsw.vehicle import Vehicle
 
-_PREMISE_BANDWIDTH_RAD_S = 0.6
+_PREMISE_BANDWIDTH_RAD_S: Final = 0.6
 
 
 class Wang2010Internals(NamedTuple):
@@ -30,7 +31,7 @@ class Wang2010Internals(NamedTuple):
     alarm_t_s: Vec3  # -1: never
 
 
-class Wang2010Detector:
+class Wang2010Detector(Detector):
     """Residual of one gyro observer driven by the torque commanded. Implements `fsw.families.Detector`."""
 
     def __init__(self, config: Wang2010DetectorConfig, vehicle: Vehicle, tick_s: float) -> None:

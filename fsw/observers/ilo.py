@@ -6,18 +6,19 @@ Source: Zhang, Ye & Sun 2018 (J. NUDT 40(1)), eqs (12)-(13).
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from bus.errors import ConfigError, StepSizeError
 from bus.linear import ZERO3
 from bus.units import Vec3
+from fsw.families import Observer
 from fsw.observers.settings import IloConfig
 from fsw.vehicle import Vehicle
 
-PERIOD_TOLERANCE = 0.01  # the gains belong to one period; 1 % of jitter in its nominal value is harmless
-GAP_PERIODS = 5.0  # forward Euler over more of them is no estimate
+PERIOD_TOLERANCE: Final = 0.01  # the gains belong to one period; 1 % of jitter in its nominal value is harmless
+GAP_PERIODS: Final = 5.0  # forward Euler over more of them is no estimate
 # A rate error of 1 rad/s would read as 98 N m, a thousand times what the wheels have: only the state is lost.
-RESTART_ABOVE_RAD_S = 1.0
+RESTART_ABOVE_RAD_S: Final = 1.0
 
 
 class IloInternals(NamedTuple):
@@ -51,7 +52,7 @@ def scale_gains(config: IloConfig, period_s: float) -> IloConfig:
     return replace(config, period_s=period_s, k1=k1, k2=config.k2 * gain_ratio, k3=config.k3 * gain_ratio)
 
 
-class Ilo:
+class Ilo(Observer):
     """Iterative learning observer, Zhang, Ye & Sun 2018, eqs (12)-(13), sampled at the control period.
 
     Differences from the paper: the torque fed in is the one commanded after saturation, eqs (42)-(43), else saturation

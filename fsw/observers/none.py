@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from bus.linear import ZERO3
 from bus.units import Vec3
-from fsw.families import NoInternals
+from fsw.families import Observer
 from fsw.observers.settings import NoObserverConfig
 from fsw.vehicle import Vehicle
 
 
-class NoObserver:
+class NoObserver(Observer):
     """Estimates no fault torque: always zero."""
 
     __slots__ = ()
-
-    internals = NoInternals()
 
     def __init__(self, config: NoObserverConfig, vehicle: Vehicle, period_s: float) -> None:
         """Nothing of these is needed."""

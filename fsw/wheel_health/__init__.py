@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from fsw.families import Registry, WheelHealthMonitor
+from fsw.families import WheelHealthMonitor
+from fsw.registry import Registry
 from fsw.wheel_health.none import NoWheelHealth
 from fsw.wheel_health.settings import NoWheelHealthConfig, ShareLearnerConfig, TorqueMonitorConfig
 from fsw.wheel_health.share_learner import ShareLearner

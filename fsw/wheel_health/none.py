@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from bus.units import Vec3, Vec4
-from fsw.families import NoInternals, Wheels
+from fsw.families import WheelHealthMonitor, Wheels
 from fsw.records import HEALTHY, WheelHealth
 from fsw.vehicle import Vehicle
 from fsw.wheel_health.settings import NoWheelHealthConfig
 
 
-class NoWheelHealth:
+class NoWheelHealth(WheelHealthMonitor):
     """Every wheel is healthy, always."""
 
     __slots__ = ()
-
-    internals = NoInternals()
 
     def __init__(self, config: NoWheelHealthConfig, vehicle: Vehicle, period_s: float) -> None:
         """Nothing of these is needed."""

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import math
+from typing import Final
 
 from bus.linear import ZERO4
 from bus.units import Vec3, Vec4
-from fsw.families import NoInternals, Wheels
+from fsw.families import WheelHealthMonitor, Wheels
 from fsw.records import ALL_WHEELS, NO_WHEEL, WheelHealth
 from fsw.vehicle import Vehicle
 from fsw.wheel_health.settings import ShareLearnerConfig
 
 HEALTHY_SHARES: Vec4 = (1.0, 1.0, 1.0, 1.0)
 # Share of a wheel's torque: commands far below it teach nothing; there, misalignment and drag look like lost torque.
-LEARN_FLOOR = 0.2
+LEARN_FLOOR: Final = 0.2
 
 
-class ShareLearner:
+class ShareLearner(WheelHealthMonitor):
     """Shares e_i by a normalised gradient step on the residual r of v = -D0 (1 - e) tau + r.
 
     tau are the commands seen through the observer's lag: the last one alone, against a late v, makes a loop that rings when
@@ -24,8 +25,6 @@ class ShareLearner:
     """
 
     __slots__ = ("_config", "_floor_nm2", "_shares", "_tau_seen", "_wheels")
-
-    internals = NoInternals()  # the shares are in every health record
 
     def __init__(self, config: ShareLearnerConfig, vehicle: Vehicle, period_s: float) -> None:
         self._config = config

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from bus.linear import ZERO3, ZERO4
 from bus.units import Vec3, Vec4
-from fsw.families import Wheels
+from fsw.families import WheelHealthMonitor, Wheels
 from fsw.records import ALL_WHEELS, Flags4, WheelHealth
 from fsw.vehicle import Vehicle
 from fsw.wheel_health.settings import TorqueMonitorConfig
 
-_RELEASE = 0.5  # an alarm ends once the residual is below this part of the threshold ...
-_RELEASE_S = 5.0  # ... for this long
+_RELEASE: Final = 0.5  # an alarm ends once the residual is below this part of the threshold ...
+_RELEASE_S: Final = 5.0  # ... for this long
 
 
 class TorqueMonitorInternals(NamedTuple):
@@ -21,7 +21,7 @@ class TorqueMonitorInternals(NamedTuple):
     residual_nm: Vec4
 
 
-class TorqueMonitor:
+class TorqueMonitor(WheelHealthMonitor):
     """r_i = low-passed (-dh_i/dt - commanded torque), one per wheel. A gyro fault cannot reach it."""
 
     def __init__(self, config: TorqueMonitorConfig, vehicle: Vehicle, period_s: float) -> None:

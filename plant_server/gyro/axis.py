@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import cast
+from typing import Final, cast
 
 from plant_server.config import GyroConfig
 from plant_server.faults.effects import GyroEffect, GyroSample
@@ -12,8 +12,9 @@ from plant_server.gyro.noise import open_errors
 from plant_server.gyro.presets import fill_preset
 from plant_server.noise import open_normals
 
-OK, OUT_OF_RANGE = 0, 2  # STATUS of the rate frame; 1, fault, is never known to the unit
-RESOLUTION_RAD_S = 1e-9  # of the rate frame: what is less does not leave the unit
+OK: Final = 0  # STATUS of the rate frame; 1, fault, is never known to the unit
+OUT_OF_RANGE: Final = 2
+RESOLUTION_RAD_S: Final = 1e-9  # of the rate frame: what is less does not leave the unit
 GyroFault = ActiveFault[GyroEffect]
 
 

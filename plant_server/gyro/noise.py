@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from itertools import repeat
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +13,8 @@ from numpy.typing import NDArray
 from plant_server.gyro.presets import GyroPreset
 from plant_server.noise import open_stream
 
-BLOCK = 512  # samples of noise made at a time
-SIGMA_PER_INSTABILITY = 0.664 / 0.617  # Gauss-Markov sigma over bias instability B
+BLOCK: Final = 512  # samples of noise made at a time
+SIGMA_PER_INSTABILITY: Final = 0.664 / 0.617  # Gauss-Markov sigma over bias instability B
 Floats = NDArray[np.float64]
 DrawErrors = Callable[
     [], tuple[float, float, float]

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import Literal
+from typing import Final, Literal
 
 from bus.units import DEG, Vec3
 
 Mount = Literal["x", "y", "z", "skew"]
 
-SKEW_ELEVATION_RAD = math.asin(1.0 / math.sqrt(3.0))  # with azimuth 45 deg: along (1, 1, 1)
-SKEW_AZIMUTH_RAD = math.pi / 4.0
+SKEW_ELEVATION_RAD: Final = math.asin(1.0 / math.sqrt(3.0))  # with azimuth 45 deg: along (1, 1, 1)
+SKEW_AZIMUTH_RAD: Final = math.pi / 4.0
 
 
 def nominal_axis(mount: Mount) -> Vec3:

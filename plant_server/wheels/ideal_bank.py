@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Final
 
 from bus.linear import ZERO3, ZERO4
 from bus.units import Mat3, Vec3, Vec4
@@ -10,15 +11,17 @@ from plant_server.config import PlantConfig
 from plant_server.faults import WHEELS, FaultTimeline
 from plant_server.noise import open_normals
 from plant_server.wheels.axes import nominal_axis, true_axis
-from plant_server.wheels.bank import Flags4, Status4
+from plant_server.wheels.bank import Flags4, Status4, WheelBank
 from plant_server.wheels.ideal_wheel import IdealWheel
 
 ALL: Flags4 = (True, True, True, True)
 ALL_OK: Status4 = (0, 0, 0, 0)
-OK, NO_COMMAND, SPEED_LIMIT = 0, 2, 3  # STATUS of the wheel telemetry frame; 1, fault, is never known to the unit
+OK: Final = 0  # STATUS of the wheel telemetry frame; 1, fault, is never known to the unit
+NO_COMMAND: Final = 2
+SPEED_LIMIT: Final = 3
 
 
-class IdealBank:
+class IdealBank(WheelBank):
     """A `WheelBank` of wheels whose torque is what they are told, within limits, lag, drag and faults."""
 
     __slots__ = (

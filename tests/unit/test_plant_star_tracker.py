@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from bus.attitude import IDENTITY, exp_map, normalise
 from plant_server.config import ExclusionConfig, StarTrackerConfig
 from plant_server.faults import FaultTimeline, make_fault
-from plant_server.star_tracker import NOT_VALID, StarTracker
+from plant_server.star_tracker import NOT_VALID, StarFrame, StarTracker
 
 STILL = (0.0, 0.0, 0.0)
 Q = normalise((0.5, -0.3, 0.7, 0.1))
@@ -31,7 +31,7 @@ def test_frames_come_at_the_trackers_rate_with_the_attitude():
     """4 Hz on a 100 Hz loop: every 25th tick, age 0, without noise the attitude itself."""
     frames = run(make_tracker(rate_hz=4.0), 101)
     assert [k for k, frame in enumerate(frames) if frame is not None] == [0, 25, 50, 75, 100]
-    assert frames[25] == (Q, 0)
+    assert frames[25] == StarFrame(Q, 0)
 
 
 @pytest.mark.parametrize(("latency_s", "ticks"), [(0.07, 7), (0.14, 14)])
@@ -42,7 +42,7 @@ def test_a_frame_is_late_by_the_latency_and_says_so(latency_s, ticks):
     sent = {k: frame for k, frame in enumerate(frames) if frame is not None}
     assert sorted(sent) == list(range(ticks, 60, 10))
     for k, frame in sent.items():
-        assert frame == (turning(k - ticks), ticks)
+        assert frame == StarFrame(turning(k - ticks), ticks)
 
 
 def test_noise_has_its_sigma_about_each_body_axis():
@@ -60,8 +60,8 @@ def test_blind_above_its_rate_limit_but_not_silent():
     """Frames go on, marked not valid, carrying no attitude."""
     tracker = make_tracker(rate_hz=100.0, max_rate_deg_s=2.0)
     fast, slow = (0.0, math.radians(2.01), 0.0), (0.0, math.radians(1.99), 0.0)
-    assert run(tracker, 3, omega=fast) == [(IDENTITY, NOT_VALID)] * 3
-    assert run(tracker, 3, omega=slow) == [(Q, 0)] * 3
+    assert run(tracker, 3, omega=fast) == [StarFrame(IDENTITY, NOT_VALID)] * 3
+    assert run(tracker, 3, omega=slow) == [StarFrame(Q, 0)] * 3
 
 
 def test_blind_near_a_bright_body():

@@ -164,7 +164,7 @@ def _measure_detection(seconds: float) -> dict[str, Any]:
     return results
 
 
-class _Timed:
+class _Timed(Detector):
     """A detector whose steps are timed, in CPU time of this thread."""
 
     def __init__(self, detector: Detector) -> None:
