@@ -6,13 +6,13 @@ attitude of each tick and the target that the flight software logged for that ti
 
 from __future__ import annotations
 
+import math
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.attitude import angle_between
-from bus.units import DEG, Vec4
+from bus.units import DEG
 from tools.log.message_index import DATA_AT, Pairs
 from tools.log.topics import parse_layout
 
@@ -26,7 +26,7 @@ class PointingError:
     def __init__(self) -> None:
         self._truth: tuple[int, int, int] | None = None  # channel, place of q_ib and of error_deg in a record
         self._flight: tuple[int, int] | None = None  # channel, place of q_it
-        self._target: Vec4 | None = None  # the last one so far
+        self._target = np.empty((0, 4))  # the last one so far
 
     def learn(self, channel: int, topic: str, schema: str) -> None:
         """Note the layout of a channel, if it is one of the two."""
@@ -47,28 +47,38 @@ class PointingError:
         attitudes = _gather(data, places + q_at)
         targets, which = self._find_targets(pairs, data, times)
         errors = np.full(len(places), np.nan)
-        for i, (attitude, index) in enumerate(zip(attitudes.tolist(), which, strict=True)):
-            if index >= 0:
-                errors[i] = angle_between(tuple(targets[index]), tuple(attitude)) / DEG
-        self._target = targets[-1] if targets else None
+        known = which >= 0
+        errors[known] = angles_between(targets[which[known]], attitudes[known]) / DEG
+        self._target = targets[-1:].copy()
         filled = np.frombuffer(data, np.uint8).copy()
         filled[(places + error_at)[:, None] + np.arange(8)] = errors.view(np.uint8).reshape(-1, 8)
         return filled.tobytes()
 
     def _find_targets(
         self, pairs: dict[int, Pairs], data: bytes, times: NDArray[np.int64]
-    ) -> tuple[list[Any], list[int]]:
+    ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """Targets, the last one of before first, and which of them holds at each time (-1: none)."""
         assert self._flight is not None
         channel, q_at = self._flight
-        targets: list[Any] = [] if self._target is None else [self._target]
-        before = len(targets)
+        before = len(self._target)
         if channel not in pairs:
-            return targets, [before - 1] * len(times)
+            return self._target, np.full(len(times), before - 1)
         since, places = pairs[channel].T.astype(np.int64)
-        targets += _gather(data, places + q_at).tolist()
         which = np.searchsorted(since, times, side="right") - 1 + before
-        return targets, which.tolist()
+        return np.concatenate((self._target, _gather(data, places + q_at))), which
+
+
+def angles_between(p: NDArray[np.float64], q: NDArray[np.float64]) -> NDArray[np.float64]:
+    """`bus.attitude.angle_between` for many pairs, shapes (n, 4): the same bits [rad].
+
+    numpy multiplies, adds and takes roots as Python does; its arc tangents differ from one processor to the next.
+    """
+    (p0, p1, p2, p3), (q0, q1, q2, q3) = p.T, q.T
+    x = p0 * q1 - p1 * q0 - p2 * q3 + p3 * q2
+    y = p0 * q2 + p1 * q3 - p2 * q0 - p3 * q1
+    z = p0 * q3 - p1 * q2 + p2 * q1 - p3 * q0
+    sines, cosines = np.sqrt(x * x + y * y + z * z), np.abs(p0 * q0 + p1 * q1 + p2 * q2 + p3 * q3)
+    return 2.0 * np.array(list(map(math.atan2, sines.tolist(), cosines.tolist())))
 
 
 def _gather(data: bytes, places: NDArray[np.int64]) -> NDArray[np.float64]:
