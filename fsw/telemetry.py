@@ -126,12 +126,19 @@ CONTROL_TOPICS = (
 
 def read_tick(flight: Flight) -> tuple[Any, ...]:
     """What a flight knows at the end of a cycle, number by number, in the order of TICK_TOPICS without TIMING."""
-    detection, error = flight.detection, flight.error
+    detection = flight.detection
     estimate = detection.estimate
+    q0, q1, q2, q3 = estimate.q_ib
+    wx, wy, wz = estimate.omega_bi_b_rad_s
+    bx, by, bz = estimate.bias_b_rad_s
+    e0, e1, e2, e3 = flight.error.q_tb
+    t0, t1, t2, t3 = flight.guidance.target.q_it
+    fx, fy, fz = detection.fault_hat_b_rad_s
+    sx, sy, sz = detection.gyro_state
+    a1, a2, a3, a4 = flight.health.alarm
     return (
-        *estimate.q_ib, *estimate.omega_bi_b_rad_s, *estimate.bias_b_rad_s, *error.q_tb, flight.error_deg,
-        *flight.guidance.target.q_it,
-        *detection.fault_hat_b_rad_s, *detection.gyro_state, *flight.health.alarm,
+        q0, q1, q2, q3, wx, wy, wz, bx, by, bz, e0, e1, e2, e3, flight.error_deg, t0, t1, t2, t3,
+        fx, fy, fz, sx, sy, sz, a1, a2, a3, a4,
     )  # fmt: skip
 
 

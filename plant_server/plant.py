@@ -188,12 +188,22 @@ class Plant:
     @staticmethod
     def flatten(now: Snapshot) -> tuple[float, ...]:
         """Return what was so at a snapshot, flat, in the order of TRUTH_FIELDS."""
+        q0, q1, q2, q3 = now.q_ib
+        wx, wy, wz = now.omega_bi_b_rad_s
+        hx, hy, hz = rotate(now.q_ib, now.momentum_b_nms)
+        s1, s2, s3, s4 = now.speed_rad_s
+        t1, t2, t3, t4 = now.tau_rw_nm
+        c1, c2, c3, c4 = now.command_nm
+        rx, ry, rz = now.h_b_nms
         tx, ty, tz = now.tau_b_nm
-        fx, fy, fz = now.command_b_nm
+        cx, cy, cz = now.command_b_nm
+        ex, ey, ez = now.external_b_nm
+        bx, by, bz = now.gyro_bias_rad_s
+        fx, fy, fz = now.gyro_fault_rad_s
         return (
-            *now.q_ib, *now.omega_bi_b_rad_s, math.nan, *rotate(now.q_ib, now.momentum_b_nms),
-            *now.speed_rad_s, *now.tau_rw_nm, *now.command_nm, *now.h_b_nms, tx - fx, ty - fy, tz - fz,
-            *now.external_b_nm, *now.gyro_bias_rad_s, *now.gyro_fault_rad_s,
+            q0, q1, q2, q3, wx, wy, wz, math.nan, hx, hy, hz,
+            s1, s2, s3, s4, t1, t2, t3, t4, c1, c2, c3, c4, rx, ry, rz, tx - cx, ty - cy, tz - cz, ex, ey, ez,
+            bx, by, bz, fx, fy, fz,
         )  # fmt: skip
 
     def truth(self) -> Truth:

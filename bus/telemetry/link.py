@@ -24,19 +24,18 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any, Final, Protocol
 
-from bus.errors import ConfigError, RecordError
+from bus.errors import RecordError
 from bus.telemetry.cdr import (
-    ENCAPSULATION,
     FRAMES_SCHEMA,
     FRAMES_TEXT,
     INPUT_SCHEMA,
     INPUT_TEXT,
-    STAMP_SIZE,
     Field,
     Kind,
     Topic,
 )
 from bus.telemetry.events import EVENTS, FAULTS, TF, format_event, format_fault, format_transform
+from bus.telemetry.packing import TickPacker, pack_frames, pack_frames_stamped, pack_input, stamp
 from bus.units import Vec3, Vec4
 
 __all__ = [
@@ -48,18 +47,6 @@ HEADER: Final = struct.Struct("<HBBIqq")  # MAGIC, kind, source, bytes that foll
 MAGIC: Final = 0x4D54
 ANNOUNCE, TICK, JSON, CLOSE = 1, 2, 3, 4
 
-MESSAGE: Final = 0x05  # MCAP opcode
-PREFIX: Final = struct.Struct("<BQH")  # opcode, length of what follows, channel
-HEAD: Final = struct.Struct("<IQQ4siI")  # sequence, log_time, publish_time, CDR encapsulation, sec, nanosec
-MESSAGE_FIXED: Final = 22  # channel to publish_time
-FRAMES: Final = struct.Struct(f"<BQH{HEAD.size}sI")  # opcode, length, channel, head, bytes of frames
-FRAMES_FIXED: Final = 2 + HEAD.size + 4  # channel to the number of bytes
-INPUT: Final = struct.Struct("<III")  # slips, flags, bytes of the commands' text
-INPUT_ALONE: Final = struct.Struct(
-    f"<BQH{HEAD.size}sIIIII"
-)  # a whole record without commands: their text is one zero byte
-INPUT_FIXED: Final = 2 + HEAD.size + 20
-
 PIPE_BYTES: Final = 1 << 20  # the largest that an unprivileged process may ask for; about 8 s of a 100 Hz run
 STALL_S: Final = 5.0  # how long a blocking writer waits for the recorder
 HOLD_TICKS: Final = 64  # rows that a process that may wait keeps at most before it packs them,
@@ -68,71 +55,6 @@ HOLD_S: Final = 0.05  # and for how long
 Row = tuple[Any, ...]  # tick, t_ns, and whatever the records of that tick are made of
 PackRows = Callable[[list[Row]], list[bytes]]  # the Message records of each
 TICK_OF: Final = operator.itemgetter(0)
-
-
-class TickPacker:
-    """Packs one tick of several topics. Channels are numbered from `first_channel` in topic order.
-
-    pack_stamped(head, values) -> bytes: the concatenated Message records of all topics; head from `stamp`, values flat
-    in topic order. Raises struct.error for a value of the wrong kind or a wrong number of them.
-    """
-
-    __slots__ = ("_cuts", "_pack_values", "channels", "flat_size", "topics")
-
-    def __init__(self, topics: Sequence[Topic], first_channel: int) -> None:
-        empty = [topic.name for topic in topics if not topic.fields]
-        if not topics or empty:
-            raise ConfigError(f"telemetry packer: {', '.join(empty) or 'it'} has nothing to pack")
-        self.topics = tuple(topics)
-        self.channels = tuple(range(first_channel, first_channel + len(topics)))
-        self.flat_size = sum(topic.flat_size for topic in topics)
-        self._pack_values = struct.Struct("<" + "".join(topic.struct_format for topic in topics)).pack
-        self._cuts: list[tuple[bytes, int, int]] = []  # of each topic: prefix, and where its values begin and end
-        at = 0
-        for topic, channel in zip(self.topics, self.channels, strict=True):
-            end = at + topic.body_size - len(ENCAPSULATION) - STAMP_SIZE
-            self._cuts.append((PREFIX.pack(MESSAGE, MESSAGE_FIXED + topic.body_size, channel), at, end))
-            at = end
-
-    def pack_stamped(self, head: bytes, values: Sequence[Any]) -> bytes:
-        """The records of a tick: all values are packed by one call, then cut and laid behind the heads."""
-        data = self._pack_values(*values)
-        pieces: list[bytes] = []
-        for prefix, start, end in self._cuts:
-            pieces += (prefix, head, data[start:end])
-        return b"".join(pieces)
-
-    def pack(self, seq: int, t_ns: int, *values: float) -> bytes:
-        """The records of a tick for which there is no head yet; t_ns is both log and publish time."""
-        return self.pack_stamped(stamp(seq, t_ns), values)
-
-
-def stamp(seq: int, t_ns: int) -> bytes:
-    """What all records of a tick have behind their prefix: sequence, log and publish time, and the stamp in CDR."""
-    sec = t_ns // 1_000_000_000
-    return HEAD.pack(seq, t_ns, t_ns, ENCAPSULATION, sec, t_ns - sec * 1_000_000_000)
-
-
-def pack_frames(channel: int, seq: int, t_ns: int, batch: bytes) -> bytes:
-    """One Message record with all frames of a tick, lossless and in bus order, for /can/<bus>."""
-    return pack_frames_stamped(channel, stamp(seq, t_ns), batch)
-
-
-def pack_frames_stamped(channel: int, head: bytes, batch: bytes) -> bytes:
-    """The same with a head from `stamp`."""
-    size = len(batch)
-    return FRAMES.pack(MESSAGE, FRAMES_FIXED + size, channel, head, size) + batch
-
-
-def pack_input(channel: int, head: bytes, slips: int, flags: int, commands: str, frames: bytes) -> bytes:
-    """One Message record of /fsw/input, see bus.telemetry.cdr.INPUT_TEXT."""
-    if not commands:  # nearly always
-        size = len(frames)
-        return INPUT_ALONE.pack(MESSAGE, INPUT_FIXED + size, channel, head, slips, flags, 1, 0, size) + frames
-    text = commands.encode() + b"\0"
-    text += bytes(-len(text) % 4)
-    body = INPUT.pack(slips, flags, len(commands.encode()) + 1) + text + struct.pack("<I", len(frames)) + frames
-    return PREFIX.pack(MESSAGE, 2 + HEAD.size + len(body), channel) + head + body
 
 
 def announce_topics(
@@ -345,7 +267,8 @@ class TelemetryLink(Link):
                     "is its disk stuck, or the process stopped?"
                 )
             try:
-                self._tail = self._tail[os.write(fd, self._tail) :]
+                written = os.write(fd, self._tail)
+                self._tail = self._tail[written:]
             except BlockingIOError:
                 if not wait:
                     return False

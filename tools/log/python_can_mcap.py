@@ -18,7 +18,7 @@ from can.io.generic import MessageReader, MessageWriter
 
 from bus.errors import RecordError
 from bus.telemetry.cdr import ENCAPSULATION, FRAMES_SCHEMA, FRAMES_TEXT
-from bus.telemetry.link import HEAD, pack_frames_stamped
+from bus.telemetry.packing import HEAD, pack_frames_stamped
 from bus.wire.frames import EFF_FLAG, EFF_MASK, ERR_FLAG, FRAME, RTR_FLAG
 from tools.log.mcap_reader import Run, read_run
 from tools.log.mcap_writer import McapWriter
