@@ -15,7 +15,8 @@ from dataclasses import dataclass
 from typing import Final
 
 from bus.attitude import IDENTITY
-from bus.icd.codec import DECODERS, SENSORS_SIZE, decode_sensors
+from bus.icd.batches import decode_sensors
+from bus.icd.codec import DECODERS, SENSORS_SIZE
 from bus.icd.e2e import Link, LinkGroup, part_group
 from bus.icd.heartbeat import count_heartbeat_ticks
 from bus.units import Vec4

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Final
 
-from bus.icd.codec import encode_CYCLE_DONE, encode_HEARTBEAT_FSW, encode_rw_cmds
+from bus.icd.batches import encode_CYCLE_DONE, encode_rw_cmds
+from bus.icd.codec import encode_HEARTBEAT_FSW
 from fsw.records import WheelCommands
 
 COUNTER_PERIOD: Final = 15  # alive counters run 0..14

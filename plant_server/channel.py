@@ -14,19 +14,15 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Final
 
-from bus.icd.codec import (
-    COMMANDS_SIZE,
-    DECODERS,
+from bus.icd.batches import (
     decode_commands,
-    decode_CYCLE_DONE,
     encode_fogs,
-    encode_HEARTBEAT_PLANT,
     encode_rw_tlms,
     encode_STR_QA,
     encode_STR_QB,
     encode_SYNC,
-    encode_TIME,
 )
+from bus.icd.codec import COMMANDS_SIZE, DECODERS, decode_CYCLE_DONE, encode_HEARTBEAT_PLANT, encode_TIME
 from bus.icd.e2e import JUMP, REPEATED, Link, LinkGroup, part_group
 from bus.icd.heartbeat import count_heartbeat_ticks
 from bus.linear import ZERO4

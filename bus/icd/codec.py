@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from operator import index
 from struct import Struct, error
-from typing import Any
+from typing import Any, Final
 
 from fastcrc.crc8 import sae_j1850 as _crc
 
@@ -548,7 +548,7 @@ def _know(frames: tuple[tuple[tuple[bytes, ...], int | None], ...]) -> tuple[int
     return _bits(mask, "little"), (*(_bits(bits, "little") for bits in known), -1)
 
 
-SENSORS_SIZE = 128
+SENSORS_SIZE: Final = 128
 _BITS_SENSORS, _KNOWN_SENSORS = _know((
     (_HEAD_RW1_TLM, 0), (_HEAD_RW2_TLM, 0), (_HEAD_RW3_TLM, 0), (_HEAD_RW4_TLM, 0), (_HEAD_FOGX_RATE, 0),
     (_HEAD_FOGY_RATE, 0), (_HEAD_FOGZ_RATE, 0), (_HEAD_SYNC, 0),
@@ -591,7 +591,7 @@ def decode_sensors(batch: bytes, counter: int) -> tuple[float, float, float, flo
     )
 
 
-COMMANDS_SIZE = 80
+COMMANDS_SIZE: Final = 80
 _BITS_COMMANDS, _KNOWN_COMMANDS = _know((
     (_HEAD_RW1_CMD, 1), (_HEAD_RW2_CMD, 1), (_HEAD_RW3_CMD, 1), (_HEAD_RW4_CMD, 1), (_HEAD_CYCLE_DONE, None),
 ))
@@ -643,8 +643,8 @@ _LIMITS: dict[int, tuple[tuple[str, float, float, bool], ...]] = {
     0x100: (
         ("COUNTER", 0, 15, True),
         ("RESERVED", 0, 15, True),
-        ("SECONDS", 0, 4294967295, False),
-        ("FRACTION", 0, 0.9999847412109375, False),
+        ("SECONDS", 0.0, 4294967295.0, False),
+        ("FRACTION", 0.0, 0.9999847412109375, False),
     ),
     0x110: (
         ("COUNTER", 0, 15, True),
@@ -674,28 +674,28 @@ _LIMITS: dict[int, tuple[tuple[str, float, float, bool], ...]] = {
         ("COUNTER", 0, 15, True),
         ("STATUS", 0, 15, True),
         ("SPEED", -8388.608, 8388.607, False),
-        ("CURRENT", -32768, 32767, False),
+        ("CURRENT", -32768.0, 32767.0, False),
         ("SYNC_CNT", 0, 255, True),
     ),
     0x191: (
         ("COUNTER", 0, 15, True),
         ("STATUS", 0, 15, True),
         ("SPEED", -8388.608, 8388.607, False),
-        ("CURRENT", -32768, 32767, False),
+        ("CURRENT", -32768.0, 32767.0, False),
         ("SYNC_CNT", 0, 255, True),
     ),
     0x192: (
         ("COUNTER", 0, 15, True),
         ("STATUS", 0, 15, True),
         ("SPEED", -8388.608, 8388.607, False),
-        ("CURRENT", -32768, 32767, False),
+        ("CURRENT", -32768.0, 32767.0, False),
         ("SYNC_CNT", 0, 255, True),
     ),
     0x193: (
         ("COUNTER", 0, 15, True),
         ("STATUS", 0, 15, True),
         ("SPEED", -8388.608, 8388.607, False),
-        ("CURRENT", -32768, 32767, False),
+        ("CURRENT", -32768.0, 32767.0, False),
         ("SYNC_CNT", 0, 255, True),
     ),
     0x1A0: (
@@ -719,14 +719,14 @@ _LIMITS: dict[int, tuple[tuple[str, float, float, bool], ...]] = {
     0x1B0: (
         ("COUNTER", 0, 15, True),
         ("AGE", 0, 15, True),
-        ("Q0", -1, 0.9999998807907104, False),
-        ("Q1", -1, 0.9999998807907104, False),
+        ("Q0", -1.0, 0.9999998807907104, False),
+        ("Q1", -1.0, 0.9999998807907104, False),
     ),
     0x1B1: (
         ("COUNTER", 0, 15, True),
         ("AGE", 0, 15, True),
-        ("Q2", -1, 0.9999998807907104, False),
-        ("Q3", -1, 0.9999998807907104, False),
+        ("Q2", -1.0, 0.9999998807907104, False),
+        ("Q3", -1.0, 0.9999998807907104, False),
     ),
     0x701: (
         ("COUNTER", 0, 15, True),

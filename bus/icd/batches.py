@@ -1,0 +1,58 @@
+"""The codec of what is sent on every tick: in native integers where this package is compiled, else bus/icd/codec.py.
+
+Who imports a function from here calls that of bus/icd/native_codec.py straight where compiled: the compiler goes by the
+first of two imports, which therefore is the native one. Where not compiled, neither that module nor librt is loaded.
+"""
+
+from __future__ import annotations
+
+from types import FunctionType
+
+__all__ = [
+    "decode_STR_QA",
+    "decode_STR_QB",
+    "decode_commands",
+    "decode_sensors",
+    "encode_CYCLE_DONE",
+    "encode_STR_QA",
+    "encode_STR_QB",
+    "encode_SYNC",
+    "encode_fogs",
+    "encode_rw_cmds",
+    "encode_rw_tlms",
+]
+
+
+def is_compiled() -> bool:
+    """Whether this module is compiled: its functions are none of Python's then."""
+    return not isinstance(is_compiled, FunctionType)
+
+
+if is_compiled():
+    from bus.icd.native_codec import (
+        decode_commands,
+        decode_sensors,
+        decode_STR_QA,
+        decode_STR_QB,
+        encode_CYCLE_DONE,
+        encode_fogs,
+        encode_rw_cmds,
+        encode_rw_tlms,
+        encode_STR_QA,
+        encode_STR_QB,
+        encode_SYNC,
+    )
+else:
+    from bus.icd.codec import (
+        decode_commands,
+        decode_sensors,
+        decode_STR_QA,
+        decode_STR_QB,
+        encode_CYCLE_DONE,
+        encode_fogs,
+        encode_rw_cmds,
+        encode_rw_tlms,
+        encode_STR_QA,
+        encode_STR_QB,
+        encode_SYNC,
+    )
