@@ -95,13 +95,21 @@ def build_file(cls: type[T], path: Path) -> T:
 
 def plain(value: Any) -> Any:
     """The same value in JSON types: dataclasses become mappings, tuples become lists. The inverse of `build`."""
+    if isinstance(value, str | float | int) or value is None:  # nearly all of them
+        return value
+    if isinstance(value, tuple | list):
+        return [plain(item) for item in value]
     if hasattr(value, "plain_settings"):
         return value.plain_settings()
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return {f.name: plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
-    if isinstance(value, tuple | list):
-        return [plain(item) for item in value]
+        kind: type = type(value)
+        return {name: plain(getattr(value, name)) for name in _names_of(kind)}
     return value
+
+
+@cache
+def _names_of(cls: type) -> tuple[str, ...]:
+    return tuple(item.name for item in dataclasses.fields(cls))
 
 
 def join_key(path: KeyPath) -> str:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 from bus.errors import ConfigError
 from bus.run import RunConfig
@@ -26,7 +27,7 @@ from tools.config.findings import Source
 from tools.config.merge import parse_key
 from tools.config.reference import BEGIN, END, REFERENCE_FILE, update_reference
 from tools.config.schema import SCHEMA_FILE, format_schema
-from tools.config.yaml_nodes import read_yaml
+from tools.config.yaml_nodes import Dumper, read_yaml, write_yaml
 
 ROOT = Path(__file__).resolve().parents[2]
 SHIPPED = sorted((ROOT / "scenarios").glob("*.yaml"))
@@ -216,6 +217,55 @@ def test_words_that_look_like_something_else_survive_yaml(word: str) -> None:
     resolved = load_text(json.dumps(data), "x")
     assert resolved.scenario.title == word
     assert load_text(resolved.to_yaml(), "y").scenario.title == word
+
+
+class PythonDumper(yaml.SafeDumper):
+    """What `Dumper` is where PyYAML came without libyaml."""
+
+    yaml_implicit_resolvers = Dumper.yaml_implicit_resolvers
+    ignore_aliases = Dumper.ignore_aliases
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+def test_logs_carry_the_same_scenario_with_and_without_libyaml(path: Path) -> None:
+    """Both emitters give the same text, and so does writing the file key by key, as it is done."""
+    resolved = load_scenario(path)
+    whole = write_yaml(resolved.as_dict(), PythonDumper)
+    assert write_yaml(resolved.as_dict()) == whole
+    assert resolved.to_yaml() == whole
+
+
+@pytest.mark.parametrize("prose", ["one\ntwo\n", "word " * 40 + "\n" + "w" * 200, "a \U0001f600 face", "\ttab\n\n b"])
+def test_prose_that_the_two_write_differently_means_the_same(prose: str) -> None:
+    """Line breaks and emoji are folded and escaped in two ways, and read back as they were."""
+    for dumper in (Dumper, PythonDumper):
+        node, findings = read_yaml(Source("x", write_yaml({"description": prose}, dumper)))
+        assert node is not None
+        assert (node.plain(), findings) == ({"description": prose}, [])
+
+
+def test_what_one_run_overrides_does_not_reach_the_next() -> None:
+    """A text is parsed once; each reading has a tree of its own, the list of faults included."""
+    plain = load_scenario(ZHANG)
+    load_scenario(ZHANG, ["faults=[]", "seed=9", "plant.wheels[0].max_torque_nm=0.2", "fsw.observer.k2=50"])
+    again = load_scenario(ZHANG)
+    assert again.scenario == plain.scenario
+    assert again.to_yaml() == plain.to_yaml()
+
+
+def test_a_file_that_was_edited_is_read_anew(child: Path) -> None:
+    child.write_text("extends: base.yaml\nname: before\n")
+    assert load_scenario(child).scenario.name == "before"
+    child.write_text("extends: base.yaml\nname: afterw\n")
+    assert load_scenario(child).scenario.name == "afterw"
+
+
+def test_minus_zero_is_not_taken_for_zero() -> None:
+    """Equal in Python, but not in a file: the text that is kept of one run is not another's."""
+    texts = [
+        load_scenario(ZHANG, [f"plant.body.rate_deg_s=[{word}, 0.3, 0.009]"]).to_yaml() for word in ("0.0", "-0.0")
+    ]
+    assert texts[0] != texts[1]
 
 
 def test_published_scenario_has_the_published_numbers() -> None:

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from tools.config.loader import load_scenario
+from tools.config.scenario_files import find_scenario
 from tools.run import provenance
 
 AUTHOR = {"GIT_AUTHOR_NAME": "a", "GIT_AUTHOR_EMAIL": "a@example.org"}
@@ -77,3 +79,14 @@ def test_a_checkout_of_its_own_has_one(tree: Path, monkeypatch: pytest.MonkeyPat
     assert provenance.read_revision() == f"{revision}+dirty"
     monkeypatch.setenv("PATH", "")
     assert provenance.read_revision() == ""
+
+
+def test_the_second_run_of_a_process_asks_git_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing that a process has loaded changes with the tree, so every log of it names one program."""
+    resolved = load_scenario(find_scenario("nominal"))
+    first = provenance.describe_run(resolved, "in process")
+    monkeypatch.setattr(provenance, "_ask_git", lambda *words: pytest.fail("git was asked again"))
+    second = provenance.describe_run(resolved, "in process")
+    program = ("host", "platform", "python", "versions", "git_rev")
+    assert [second[key] for key in program] == [first[key] for key in program]
+    assert list(first)[-5:] == list(program)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Self
 
@@ -66,11 +66,7 @@ class Resolved:
 
     def to_yaml(self) -> str:
         """The scenario as a file of its own, nothing left out; reads back as the same."""
-        import yaml
-
-        from tools.config.yaml_nodes import Dumper
-
-        return str(yaml.dump(self.as_dict(), Dumper=Dumper, sort_keys=False, allow_unicode=True, width=110))
+        return "".join(_write_section(json.dumps({key: value})) for key, value in self.as_dict().items())
 
     def run_dict(self, address: str | None = None) -> dict[str, Any]:
         """What both processes are told of the run (bus.settings.RunConfig), in JSON types.
@@ -100,3 +96,11 @@ class Resolved:
     def fsw_json(self, address: str | None = None) -> str:
         """What the flight software's process gets: run and fsw; nothing of plant or faults."""
         return json.dumps({"run": self.run_dict(address), "fsw": plain(self.scenario.fsw)}, allow_nan=False)
+
+
+@lru_cache(maxsize=64)
+def _write_section(section_json: str) -> str:
+    """The YAML of one key of the file. Kept, for runs of a campaign differ in one or two keys, mostly the seed."""
+    from tools.config.yaml_nodes import write_yaml
+
+    return write_yaml(json.loads(section_json))

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import yaml
@@ -36,6 +37,7 @@ class _TooMuch(yaml.YAMLError):
 
 _TAG = "tag:yaml.org,2002:"
 _BaseLoader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # the C parser is ten times faster, where it exists
+_BaseDumper: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 _WORDS = (
     ("null", r"^(?:~|null|Null|NULL|)$", ("~", "n", "N", "")),
     ("bool", r"^(?:true|True|TRUE|false|False|FALSE)$", tuple("tTfF")),
@@ -63,8 +65,11 @@ class _PlainLoader(yaml.SafeLoader):
     """The same in pure Python: run again on a text that the C parser refused, for its better messages."""
 
 
-class Dumper(yaml.SafeDumper):
-    """Writes what `read_yaml` reads back as the same values: text that looks like a number gets quotes."""
+class Dumper(_BaseDumper):  # type: ignore[misc]
+    """Writes what `read_yaml` reads back as the same values: text that looks like a number gets quotes.
+
+    Without the C emitter only text with line breaks or emoji looks different, and it reads back as the same too.
+    """
 
     def ignore_aliases(self, data: Any) -> bool:
         return True
@@ -74,6 +79,11 @@ for _cls in (_Loader, _PlainLoader, Dumper):
     _add_words(_cls)
 
 
+def write_yaml(value: Any, dumper: Any = Dumper) -> str:
+    """The text of a value in JSON types."""
+    return str(yaml.dump(value, Dumper=dumper, sort_keys=False, allow_unicode=True, width=110))
+
+
 @dataclass(slots=True)
 class Node:
     """A value and where it stands. `value` is a scalar, a list of nodes, or a dict of nodes."""
@@ -81,6 +91,15 @@ class Node:
     value: Any
     place: Place
     key_place: Place | None = None  # where the key stands, for a value in a mapping
+
+    def copy(self) -> Node:
+        """A tree of its own, with the same places."""
+        value = self.value
+        if isinstance(value, dict):
+            value = {key: child.copy() for key, child in value.items()}
+        elif isinstance(value, list):
+            value = [child.copy() for child in value]
+        return Node(value, self.place, self.key_place)
 
     def plain(self) -> Any:
         """The value alone, in JSON types."""
@@ -109,6 +128,17 @@ class Node:
 
 def read_yaml(source: Source) -> tuple[Node | None, list[Finding]]:
     """Root node of a text, None when it is empty or cannot be parsed, and what was found wrong with it."""
+    root, findings = _read_kept(source)
+    return (None if root is None else root.copy()), list(findings)
+
+
+@lru_cache(maxsize=8)  # a campaign reads one file, and those it extends, for every run
+def _read_kept(source: Source) -> tuple[Node | None, list[Finding]]:
+    """The same, for nobody to change."""
+    return _read(source)
+
+
+def _read(source: Source) -> tuple[Node | None, list[Finding]]:
     try:
         _measure(source.text)
         root = _compose(_Loader, source.text)
@@ -149,7 +179,7 @@ def read_value(text: str, place: Place) -> tuple[Node, list[Finding]]:
     """
     text = text.strip()
     if text[:1] in tuple("[{\"'"):
-        node, findings = read_yaml(Source(place.source.name, text, overrides=True))
+        node, findings = _read(Source(place.source.name, text, overrides=True))
         return node or Node(None, place), findings
     reader = _Reader(place.source)
     resolver: Any = _PlainLoader("")

@@ -14,6 +14,7 @@ import struct
 import time
 import zlib
 from collections.abc import Callable, Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import IO, Final, Literal, Self
 
@@ -49,6 +50,7 @@ MCAP_MAGIC: Final = b"\x89MCAP0\r\n"
 LIBRARY: Final = "hilsat"
 DATA_END_SIZE: Final = 13
 ZSTD_LEVEL: Final = -1  # docs/decisions/0001-telemetry-encoding.md
+REMEMBERED: Final = 128  # schemas and channels whose records are kept; a run has some twenty of each
 CHUNK_HEAD: Final = struct.Struct("<BQQQQI")  # opcode, length, start, end, uncompressed size, crc
 INDEX_HEAD: Final = struct.Struct("<BQHI")  # opcode, length, channel, bytes of entries
 
@@ -166,11 +168,11 @@ class McapWriter:
         else:
             schema_id = len(self._schemas) + 1
             self._schemas[schema_id] = Schema(id=schema_id, name=name, encoding=schema_encoding, data=data)
-            self._put(self._schemas[schema_id])
+            self._put(format_schema(self._schemas[schema_id]))
         self._channels[channel] = Channel(
             id=channel, topic=topic, message_encoding=encoding, metadata=dict(metadata), schema_id=schema_id
         )
-        self._put(self._channels[channel])
+        self._put(format_channel(self._channels[channel]))
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
         start = self._put(Metadata(name=name, metadata=dict(values)))
@@ -244,8 +246,8 @@ class McapWriter:
     def _format_summary(self) -> bytes:
         start = self._size
         groups = {
-            Opcode.SCHEMA: format_records(*self._schemas.values()),
-            Opcode.CHANNEL: format_records(*self._channels.values()),
+            Opcode.SCHEMA: b"".join(map(format_schema, self._schemas.values())),
+            Opcode.CHANNEL: b"".join(map(format_channel, self._channels.values())),
             Opcode.STATISTICS: format_records(self._count_all()),
             Opcode.CHUNK_INDEX: self._chunks.format(),
             Opcode.ATTACHMENT_INDEX: format_records(*self._attachments),
@@ -288,6 +290,32 @@ class McapWriter:
                 "what was written stays readable; free some space or name another place with --out"
             ) from None
         self._size += len(data)
+
+
+def format_schema(schema: Schema) -> bytes:
+    """The record of a schema."""
+    return _lay_down_schema(schema.id, schema.name, schema.encoding, schema.data)
+
+
+def format_channel(channel: Channel) -> bytes:
+    """The record of a channel."""
+    metadata = tuple(channel.metadata.items())
+    return _lay_down_channel(channel.id, channel.topic, channel.message_encoding, metadata, channel.schema_id)
+
+
+# Every log has them twice, and the next log of this process has the same again.
+@lru_cache(maxsize=REMEMBERED)
+def _lay_down_schema(number: int, name: str, encoding: str, data: bytes) -> bytes:
+    return format_records(Schema(id=number, name=name, encoding=encoding, data=data))
+
+
+@lru_cache(maxsize=REMEMBERED)
+def _lay_down_channel(
+    number: int, topic: str, encoding: str, metadata: tuple[tuple[str, str], ...], schema_id: int
+) -> bytes:
+    return format_records(
+        Channel(id=number, topic=topic, message_encoding=encoding, metadata=dict(metadata), schema_id=schema_id)
+    )
 
 
 def format_records(*records: McapRecord) -> bytes:

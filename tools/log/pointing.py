@@ -7,6 +7,8 @@ attitude of each tick and the target that the flight software logged for that ti
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
@@ -32,11 +34,11 @@ class PointingError:
         """Note the layout of a channel, if it is one of the two."""
         if topic not in (TRUTH, FLIGHT):
             return
-        fields: Any = parse_layout(schema, topic).fields or {}
-        if topic == TRUTH and {"q_ib", "error_deg"} <= fields.keys():
-            self._truth = (channel, BODY_AT + fields["q_ib"][1], BODY_AT + fields["error_deg"][1])
-        elif topic == FLIGHT and "q_it" in fields:
-            self._flight = (channel, BODY_AT + fields["q_it"][1])
+        places = _locate_fields(schema, topic)
+        if topic == TRUTH and {"q_ib", "error_deg"} <= places.keys():
+            self._truth = (channel, BODY_AT + places["q_ib"], BODY_AT + places["error_deg"])
+        elif topic == FLIGHT and "q_it" in places:
+            self._flight = (channel, BODY_AT + places["q_it"])
 
     def fill(self, pairs: dict[int, Pairs], data: bytes) -> bytes:
         """The chunk with every pointing error in it. pairs: log time and place of the messages of each channel."""
@@ -79,6 +81,13 @@ def angles_between(p: NDArray[np.float64], q: NDArray[np.float64]) -> NDArray[np
     z = p0 * q3 - p1 * q2 + p2 * q1 - p3 * q0
     sines, cosines = np.sqrt(x * x + y * y + z * z), np.abs(p0 * q0 + p1 * q1 + p2 * q2 + p3 * q3)
     return 2.0 * np.array(list(map(math.atan2, sines.tolist(), cosines.tolist())))
+
+
+@lru_cache(maxsize=8)  # numpy parses its formats slowly, and every run of a process has the same two
+def _locate_fields(schema: str, topic: str) -> Mapping[str, int]:
+    """Where each field of a layout begins."""
+    fields: Any = parse_layout(schema, topic).fields or {}
+    return {name: field[1] for name, field in fields.items()}
 
 
 def _gather(data: bytes, places: NDArray[np.int64]) -> NDArray[np.float64]:

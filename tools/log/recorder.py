@@ -13,8 +13,9 @@ import struct
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,6 +52,33 @@ class RecordSummary:
     last_tick: int  # -1: none
     dropped: Mapping[str, int]  # ticks without room, by source
     reasons: Mapping[str, str]  # why each source ended
+
+
+class _Announced(NamedTuple):
+    """One row of a channel table, as the log has it."""
+
+    channel: int
+    topic: str
+    schema: tuple[str, str, str]
+    metadata: Mapping[str, str]
+
+
+@lru_cache(maxsize=16)  # runs of one process announce the same again
+def _read_announcement(source: int, topics_json: bytes) -> tuple[_Announced, ...]:
+    return tuple(
+        _Announced(
+            row["channel"],
+            row["topic"],
+            (row["schema_name"], "ros2msg", row["schema"]),
+            {
+                "deterministic": "true" if row["deterministic"] else "false",
+                "every": row["every"],
+                "units": json.dumps(row["units"]),
+                "source": str(source),
+            },
+        )
+        for row in json.loads(topics_json)
+    )
 
 
 @dataclass(slots=True)
@@ -116,16 +144,9 @@ class Recorder:
     def announce(self, source: int, topics_json: bytes) -> None:
         """Take the channel table of one source; see bus.telemetry.link.announce_topics."""
         with self._writing():
-            for row in json.loads(topics_json):
-                metadata = {
-                    "deterministic": "true" if row["deterministic"] else "false",
-                    "every": row["every"],
-                    "units": json.dumps(row["units"]),
-                    "source": str(source),
-                }
-                schema = (row["schema_name"], "ros2msg", row["schema"])
-                self._pointing.learn(row["channel"], row["topic"], row["schema"])
-                self._writer.add_channel(row["channel"], row["topic"], "cdr", schema, metadata)
+            for row in _read_announcement(source, topics_json):
+                self._pointing.learn(row.channel, row.topic, row.schema[2])
+                self._writer.add_channel(row.channel, row.topic, "cdr", row.schema, row.metadata)
 
     def write_ticks(self, source: int, ticks: list[int], t_ns: int, records: list[bytes]) -> None:
         """Take the Message records of some ticks of one source, t_ns being the time of the last."""

@@ -7,6 +7,7 @@ import platform
 import subprocess
 import sys
 from datetime import UTC, datetime
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -30,6 +31,17 @@ def describe_run(resolved: Resolved, address: str) -> dict[str, str]:
         "tick_hz": str(scenario.clock.tick_hz),
         "bus": address,
         "start_utc": start.isoformat(timespec="seconds"),
+        **_describe_program(),
+    }
+
+
+@cache
+def _describe_program() -> dict[str, str]:
+    """What runs, and where: looked up once in a process, for asking git alone takes longer than a short run.
+
+    The revision is that of the first run. Whoever commits or edits later does not change the code that is loaded already.
+    """
+    return {
         "host": platform.node(),
         "platform": platform.platform(),
         "python": sys.version.split()[0],
@@ -42,8 +54,13 @@ def list_attachments(resolved: Resolved) -> list[RunAttachment]:
     """The scenario as resolved and the DBC."""
     return [
         RunAttachment("scenario.yaml", "application/yaml", resolved.to_yaml().encode()),
-        RunAttachment("icd.dbc", "text/plain", Path(dbc_path()).read_bytes()),
+        RunAttachment("icd.dbc", "text/plain", _read_dbc()),
     ]
+
+
+@cache
+def _read_dbc() -> bytes:
+    return dbc_path().read_bytes()
 
 
 def _version(name: str) -> str:

@@ -34,7 +34,12 @@ def add_parser(subparsers: Any) -> None:
     """Add the verb to the command line."""
     parser = subparsers.add_parser("bench", help="measure what a cycle costs", description=__doc__)
     parser.add_argument("--seconds", type=float, default=120.0, help="simulated seconds per round (default 120)")
-    parser.add_argument("--only", choices=sorted(MEASUREMENTS), action="append", help="measure just this; repeatable")
+    parser.add_argument(
+        "--only",
+        choices=sorted(MEASUREMENTS),
+        action="append",
+        help=f"measure just this; repeatable; only when asked for: {', '.join(SLOW)}",
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object on stdout")
     parser.set_defaults(func=run)
 
@@ -42,8 +47,9 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Measure, print, return 0."""
     results: dict[str, Any] = {"cpus": os.cpu_count(), "python": sys.version.split()[0]}
+    wanted = args.only or [name for name in MEASUREMENTS if name not in SLOW]
     for name, measure in MEASUREMENTS.items():
-        if args.only and name not in args.only:
+        if name not in wanted:
             continue
         print(f"measuring {name} ...", file=sys.stderr)
         results[name] = measure(args.seconds)
@@ -125,6 +131,18 @@ def _load(name: str, seconds: float, mode: str) -> Resolved:
     return load_scenario(find_scenario(name), settings)
 
 
+def _measure_set_up(seconds: float) -> dict[str, Any]:
+    from tools.measure.set_up import measure_set_up
+
+    return {name: measure_set_up(name, settings) for name, settings in SCENARIOS.items()}
+
+
+def _measure_instructions(seconds: float) -> dict[str, Any]:
+    from tools.measure.instructions import count_instructions
+
+    return {name: count_instructions(name, settings) for name, settings in SCENARIOS.items()}
+
+
 def _measure_codec(seconds: float) -> dict[str, Any]:
     """One frame, CRC and alive counter included."""
     from bus.icd.codec import DECODERS, encode_RW1_TLM
@@ -200,8 +218,11 @@ def _measure_basilisk(seconds: float) -> dict[str, Any]:
 MEASUREMENTS: dict[str, Callable[[float], dict[str, Any]]] = {
     "in-process": _measure_in_process,
     "lock-step": _measure_lockstep,
+    "set-up": _measure_set_up,
     "codec": _measure_codec,
     "detection": _measure_detection,
     "bus": _measure_bus,
     "basilisk": _measure_basilisk,
+    "instructions": _measure_instructions,
 }
+SLOW = ("instructions",)  # minutes: only when asked for
