@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from librt.strings import BytesWriter, write_f64_le
+from librt.strings import BytesWriter, write_f64_le, write_i32_le, write_i64_le
+from mypy_extensions import i32, i64
 
 
 def write_floats(cuts: list[tuple[bytes, int, int]], head: bytes, values: Sequence[Any]) -> bytes:
@@ -19,5 +20,22 @@ def write_floats(cuts: list[tuple[bytes, int, int]], head: bytes, values: Sequen
         writer.write(prefix)
         writer.write(head)
         for i in range(start // 8, end // 8):
-            write_f64_le(writer, float(numbers[i]))
+            number = numbers[i]
+            if isinstance(number, float):
+                write_f64_le(writer, number)
+            else:
+                write_f64_le(writer, float(number))
+    return writer.getvalue()
+
+
+def write_stamp(seq: int, t_ns: int, encapsulation: bytes) -> bytes:
+    """Return what `bus.telemetry.packing.stamp` does, for what fits into signed words: a time before 2038."""
+    writer = BytesWriter()
+    t: i64 = t_ns
+    write_i32_le(writer, i32(seq))
+    write_i64_le(writer, t)
+    write_i64_le(writer, t)
+    writer.write(encapsulation)
+    write_i32_le(writer, i32(t // 1_000_000_000))
+    write_i32_le(writer, i32(t % 1_000_000_000))
     return writer.getvalue()

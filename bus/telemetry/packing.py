@@ -20,6 +20,7 @@ INPUT: Final = struct.Struct("<III")  # slips, flags, bytes of the commands' tex
 INPUT_ALONE: Final = struct.Struct(
     f"<BQH{HEAD.size}sIIIII"
 )  # a whole record without commands: their text is one zero byte
+NATIVE_UNTIL_NS: Final = 1_000_000_000 << 31
 INPUT_FIXED: Final = 2 + HEAD.size + 20
 
 
@@ -70,6 +71,10 @@ class TickPacker:
 
 def stamp(seq: int, t_ns: int) -> bytes:
     """What all records of a tick have behind their prefix: sequence, log and publish time, and the stamp in CDR."""
+    if COMPILED and 0 <= t_ns < NATIVE_UNTIL_NS and 0 <= seq < 1 << 31:
+        from bus.telemetry.native_packing import write_stamp
+
+        return write_stamp(seq, t_ns, ENCAPSULATION)
     sec = t_ns // 1_000_000_000
     return HEAD.pack(seq, t_ns, t_ns, ENCAPSULATION, sec, t_ns - sec * 1_000_000_000)
 
