@@ -21,7 +21,13 @@ from bus.icd.batches import (
     encode_STR_QB,
     encode_SYNC,
 )
-from bus.icd.codec import COMMANDS_SIZE, DECODERS, decode_CYCLE_DONE, encode_HEARTBEAT_PLANT, encode_TIME
+from bus.icd.codec import (
+    COMMANDS_SIZE,
+    DECODERS,
+    decode_CYCLE_DONE,
+    encode_HEARTBEAT_PLANT,
+    encode_TIME,
+)
 from bus.icd.e2e import JUMP, REPEATED, Link, LinkGroup, part_group
 from bus.icd.heartbeat import count_heartbeat_ticks
 from bus.linear import ZERO4
