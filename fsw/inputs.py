@@ -14,8 +14,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from bus.attitude import IDENTITY
-from bus.icd.batches import decode_sensors
-from bus.icd.codec import DECODERS, SENSORS_SIZE
+from bus.icd.batches import DECODERS, decode_sensors
+from bus.icd.codec import SENSORS_SIZE
 from bus.icd.e2e import Link, LinkGroup, part_group
 from bus.icd.heartbeat import count_heartbeat_ticks
 from bus.units import Vec4
