@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from typing import Final
 
 from bus.attitude import IDENTITY
-from bus.icd.batches import decode_sensors
-from bus.icd.codec import DECODERS, SENSORS_SIZE
+from bus.icd.batches import DECODERS, decode_sensors
+from bus.icd.codec import SENSORS_SIZE
 from bus.icd.e2e import Link, LinkGroup, part_group
 from bus.icd.heartbeat import count_heartbeat_ticks
 from bus.units import Vec4
@@ -139,10 +139,9 @@ class Inputs:
             if parts is None:
                 return False
             usual, between = parts
-        values = decode_sensors(usual, self._group.expected)
-        if values is None:
+        s1, s2, s3, s4, i1, i2, i3, i4, x, y, z, plant_tick = decode_sensors(usual, self._group.expected)
+        if plant_tick < 0:
             return False
-        s1, s2, s3, s4, i1, i2, i3, i4, x, y, z, plant_tick = values
         t1, t2, t3, t4 = self._top_speed_rad_s
         if not (-t1 <= s1 <= t1 and -t2 <= s2 <= t2 and -t3 <= s3 <= t3 and -t4 <= s4 <= t4):
             return False

@@ -22,7 +22,13 @@ from bus.icd.batches import (
     encode_STR_QB,
     encode_SYNC,
 )
-from bus.icd.codec import COMMANDS_SIZE, DECODERS, decode_CYCLE_DONE, encode_HEARTBEAT_PLANT, encode_TIME
+from bus.icd.codec import (
+    COMMANDS_SIZE,
+    DECODERS,
+    decode_CYCLE_DONE,
+    encode_HEARTBEAT_PLANT,
+    encode_TIME,
+)
 from bus.icd.e2e import JUMP, REPEATED, Link, LinkGroup, part_group
 from bus.icd.heartbeat import count_heartbeat_ticks
 from bus.linear import ZERO4
@@ -149,10 +155,9 @@ class Channel:
             if parts is None:
                 return self._accept_each(batch)
             usual, between = parts
-        values = decode_commands(usual, self._group.expected)
-        if values is None:
+        a, b, c, d, sync_cnt, sync_b, sync_c, sync_d, done_tick = decode_commands(usual, self._group.expected)
+        if done_tick < 0:
             return self._accept_each(batch)
-        a, b, c, d, sync_cnt, sync_b, sync_c, sync_d, done_tick = values
         tick = self.tick
         if (tick - sync_cnt) & 0xFF > self._max_age_ticks or not sync_cnt == sync_b == sync_c == sync_d:
             return self._accept_each(batch)

@@ -8,7 +8,11 @@ from __future__ import annotations
 
 from types import FunctionType
 
+from bus.icd import codec
+from bus.icd.codec import Decoder
+
 __all__ = [
+    "DECODERS",
     "decode_STR_QA",
     "decode_STR_QB",
     "decode_commands",
@@ -56,3 +60,5 @@ else:
         encode_STR_QB,
         encode_SYNC,
     )
+
+DECODERS: dict[int, Decoder] = codec.DECODERS | {0x1B0: decode_STR_QA, 0x1B1: decode_STR_QB}

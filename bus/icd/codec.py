@@ -8,8 +8,8 @@ Raises ValueError for NaN and TypeError for a count that is not a whole number.
 decode_<NAME>(data) returns (counter, nibble, *signals) of the 8 data bytes, or None where the checksum does not fit
 data and id, or where the length is not 8. It raises on no bytes whatever.
 
-decode_<batch>(batch, counter) takes all frames of one tick at once where they are what they nearly always are, and
-returns None everywhere else: then the frames must be looked at one by one.
+decode_<batch>(batch, counter) takes all frames of one tick at once where they are what they nearly always are. Its last
+value is the tick, or -1 everywhere else: then the frames must be looked at one by one.
 """
 
 from __future__ import annotations
@@ -70,13 +70,13 @@ _HEAD_HEARTBEAT_PLANT = tuple(_heads(0x701, 8, byte) for byte in range(256))
 _HEAD_HEARTBEAT_FSW = tuple(_heads(0x702, 8, byte) for byte in range(256))
 
 
-def _saturate(frame_id: int, *values: float) -> bytes:
+def _saturate(frame_id: int, *values: Any) -> bytes:
     """Frame with every value moved into its range. Raises ValueError for NaN, TypeError for a fraction of a count."""
-    bounded: list[float] = []
+    bounded = []
     for value, (label, minimum, maximum, is_count) in zip(values, _LIMITS[frame_id], strict=True):
         if value != value:
             raise ValueError(f"frame 0x{frame_id:03X}: {label} is not a number; the caller must send a finite value")
-        bounded.append(min(max(index(value) if is_count else value, minimum), maximum))  # type: ignore[arg-type]
+        bounded.append(min(max(index(value) if is_count else value, minimum), maximum))
     return ENCODERS[frame_id](*bounded)
 
 
@@ -555,16 +555,17 @@ _BITS_SENSORS, _KNOWN_SENSORS = _know((
 ))
 _sums_sensors = Struct("<" + "8xB7s" * 8).unpack
 _values_sensors = Struct("<8xxihx8xxihx8xxihx8xxihx8xxxixx8xxxixx8xxxixx8xxxIxx").unpack
+_NO_SENSORS = (0.0, 0.0, 0.0, 0.0, 0, 0, 0, 0, 0.0, 0.0, 0.0, -1)
 
 
-def decode_sensors(batch: bytes, counter: int) -> tuple[float, float, float, float, int, int, int, int, float, float, float, int] | None:
+def decode_sensors(batch: bytes, counter: int) -> tuple[float, float, float, float, int, int, int, int, float, float, float, int]:
     """(speed, current, rate, tick) of the frames 0x190..0x193, 0x1A0..0x1A2, 0x080..0x080, each signal frame by frame.
 
-    None unless these are exactly the frames, in this order, with this counter, the expected high nibbles and right
-    checksums. `counter` -1, none expected yet, gives None too.
+    tick is -1 unless these are exactly the frames, in this order, with this counter, the expected high nibbles and
+    right checksums. With `counter` -1, none expected yet, it is -1 too.
     """
     if len(batch) != 128 or _bits(batch, "little") & _BITS_SENSORS != _KNOWN_SENSORS[counter]:
-        return None
+        return _NO_SENSORS
     (
         sum_0, rest_0, sum_1, rest_1, sum_2, rest_2, sum_3, rest_3, sum_4, rest_4, sum_5, rest_5, sum_6, rest_6,
         sum_7, rest_7,
@@ -579,7 +580,7 @@ def decode_sensors(batch: bytes, counter: int) -> tuple[float, float, float, flo
         or _crc(rest_6, 0x87) != sum_6
         or _crc(rest_7, 0x77) != sum_7
     ):
-        return None
+        return _NO_SENSORS
     (
         speed_rad_s_0, current_ma_0, speed_rad_s_1, current_ma_1, speed_rad_s_2, current_ma_2, speed_rad_s_3,
         current_ma_3, rate_rad_s_4, rate_rad_s_5, rate_rad_s_6, tick_7,
@@ -597,16 +598,17 @@ _BITS_COMMANDS, _KNOWN_COMMANDS = _know((
 ))
 _sums_commands = Struct("<" + "8xB7s" * 5).unpack
 _values_commands = Struct("<8xxxiBx8xxxiBx8xxxiBx8xxxiBx8xxxIxx").unpack
+_NO_COMMANDS = (0.0, 0.0, 0.0, 0.0, 0, 0, 0, 0, -1)
 
 
-def decode_commands(batch: bytes, counter: int) -> tuple[float, float, float, float, int, int, int, int, int] | None:
+def decode_commands(batch: bytes, counter: int) -> tuple[float, float, float, float, int, int, int, int, int]:
     """(torque, sync_cnt, tick) of the frames 0x110..0x113, 0x081..0x081, each signal frame by frame.
 
-    None unless these are exactly the frames, in this order, with this counter, the expected high nibbles and right
-    checksums. `counter` -1, none expected yet, gives None too.
+    tick is -1 unless these are exactly the frames, in this order, with this counter, the expected high nibbles and
+    right checksums. With `counter` -1, none expected yet, it is -1 too.
     """
     if len(batch) != 80 or _bits(batch, "little") & _BITS_COMMANDS != _KNOWN_COMMANDS[counter]:
-        return None
+        return _NO_COMMANDS
     (
         sum_0, rest_0, sum_1, rest_1, sum_2, rest_2, sum_3, rest_3, sum_4, rest_4,
     ) = _sums_commands(batch)
@@ -617,7 +619,7 @@ def decode_commands(batch: bytes, counter: int) -> tuple[float, float, float, fl
         or _crc(rest_3, 0xC3) != sum_3
         or _crc(rest_4, 0x3B) != sum_4
     ):
-        return None
+        return _NO_COMMANDS
     (
         torque_nm_0, sync_cnt_0, torque_nm_1, sync_cnt_1, torque_nm_2, sync_cnt_2, torque_nm_3, sync_cnt_3,
         tick_4,
@@ -628,7 +630,7 @@ def decode_commands(batch: bytes, counter: int) -> tuple[float, float, float, fl
     )
 
 
-_LIMITS: dict[int, tuple[tuple[str, float, float, bool], ...]] = {
+_LIMITS: dict[int, tuple[tuple[str, Any, Any, bool], ...]] = {
     0x080: (
         ("COUNTER", 0, 15, True),
         ("PHASE", 0, 15, True),

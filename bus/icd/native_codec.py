@@ -105,7 +105,10 @@ def encode_SYNC(counter: int, phase: int, tick: int) -> bytes:
     ):
         return codec.encode_SYNC(counter, phase, tick)
     common = i64(counter) << 8 | i64(tick) << 16
-    word = common | i64(phase) << 12
+    word = (
+        common
+        | (i64(phase) << 12)
+    )
     word = (
         word
         ^ 0x8C
@@ -131,7 +134,10 @@ def encode_CYCLE_DONE(counter: int, mode: int, tick: int, slips: int) -> bytes:
     ):
         return codec.encode_CYCLE_DONE(counter, mode, tick, slips)
     common = i64(counter) << 8 | i64(tick) << 16 | ((i64(slips) ^ 0x8000) - 0x8000) << 48
-    word = common | i64(mode) << 12
+    word = (
+        common
+        | (i64(mode) << 12)
+    )
     word = (
         word
         ^ 0xE9
@@ -161,7 +167,12 @@ def encode_STR_QA(counter: int, age: int, q0: float, q1: float) -> bytes:
     ):
         return codec.encode_STR_QA(counter, age, q0, q1)
     common = i64(counter) << 8
-    word = common | i64(age) << 12 | (i64(int(q0_steps)) & 0xFFFFFF) << 16 | i64(int(q1_steps)) << 40
+    word = (
+        common
+        | (i64(age) << 12)
+        | ((i64(int(q0_steps)) & 0xFFFFFF) << 16)
+        | (i64(int(q1_steps)) << 40)
+    )
     word = (
         word
         ^ 0xF1
@@ -191,7 +202,12 @@ def encode_STR_QB(counter: int, age: int, q2: float, q3: float) -> bytes:
     ):
         return codec.encode_STR_QB(counter, age, q2, q3)
     common = i64(counter) << 8
-    word = common | i64(age) << 12 | (i64(int(q2_steps)) & 0xFFFFFF) << 16 | i64(int(q3_steps)) << 40
+    word = (
+        common
+        | (i64(age) << 12)
+        | ((i64(int(q2_steps)) & 0xFFFFFF) << 16)
+        | (i64(int(q3_steps)) << 40)
+    )
     word = (
         word
         ^ 0x94
@@ -276,8 +292,27 @@ def encode_rw_cmds(counter: int, mode: Nibbles4, torque_nm: Floats4, sync_cnt: i
     ):
         return codec.encode_rw_cmds(counter, mode, torque_nm, sync_cnt)
     common = i64(counter) << 8 | i64(sync_cnt) << 48
+    word_0 = (
+        common
+        | (i64(mode_0) << 12)
+        | ((i64(int(torque_nm_0_steps)) & 0xFFFFFFFF) << 16)
+    )
+    word_1 = (
+        common
+        | (i64(mode_1) << 12)
+        | ((i64(int(torque_nm_1_steps)) & 0xFFFFFFFF) << 16)
+    )
+    word_2 = (
+        common
+        | (i64(mode_2) << 12)
+        | ((i64(int(torque_nm_2_steps)) & 0xFFFFFFFF) << 16)
+    )
+    word_3 = (
+        common
+        | (i64(mode_3) << 12)
+        | ((i64(int(torque_nm_3_steps)) & 0xFFFFFFFF) << 16)
+    )
     check = i64(_CRC[common >> 48 & 0xFF | 1280])
-    word_0 = common | i64(mode_0) << 12 | (i64(int(torque_nm_0_steps)) & 0xFFFFFFFF) << 16
     word_0 = (
         word_0
         ^ 0x3D
@@ -288,7 +323,6 @@ def encode_rw_cmds(counter: int, mode: Nibbles4, torque_nm: Floats4, sync_cnt: i
         ^ i64(_CRC[word_0 >> 32 & 0xFF | 768])
         ^ i64(_CRC[word_0 >> 40 & 0xFF | 1024])
     )
-    word_1 = common | i64(mode_1) << 12 | (i64(int(torque_nm_1_steps)) & 0xFFFFFFFF) << 16
     word_1 = (
         word_1
         ^ 0x58
@@ -299,7 +333,6 @@ def encode_rw_cmds(counter: int, mode: Nibbles4, torque_nm: Floats4, sync_cnt: i
         ^ i64(_CRC[word_1 >> 32 & 0xFF | 768])
         ^ i64(_CRC[word_1 >> 40 & 0xFF | 1024])
     )
-    word_2 = common | i64(mode_2) << 12 | (i64(int(torque_nm_2_steps)) & 0xFFFFFFFF) << 16
     word_2 = (
         word_2
         ^ 0xF7
@@ -310,7 +343,6 @@ def encode_rw_cmds(counter: int, mode: Nibbles4, torque_nm: Floats4, sync_cnt: i
         ^ i64(_CRC[word_2 >> 32 & 0xFF | 768])
         ^ i64(_CRC[word_2 >> 40 & 0xFF | 1024])
     )
-    word_3 = common | i64(mode_3) << 12 | (i64(int(torque_nm_3_steps)) & 0xFFFFFFFF) << 16
     word_3 = (
         word_3
         ^ 0x92
@@ -361,8 +393,31 @@ def encode_rw_tlms(counter: int, status: Nibbles4, speed_rad_s: Floats4, current
     ):
         return codec.encode_rw_tlms(counter, status, speed_rad_s, current_ma, sync_cnt)
     common = i64(counter) << 8 | ((i64(sync_cnt) ^ 0x80) - 0x80) << 56
+    word_0 = (
+        common
+        | (i64(status_0) << 12)
+        | ((i64(int(speed_rad_s_0_steps)) & 0xFFFFFF) << 16)
+        | ((i64(int(current_ma_0_steps)) & 0xFFFF) << 40)
+    )
+    word_1 = (
+        common
+        | (i64(status_1) << 12)
+        | ((i64(int(speed_rad_s_1_steps)) & 0xFFFFFF) << 16)
+        | ((i64(int(current_ma_1_steps)) & 0xFFFF) << 40)
+    )
+    word_2 = (
+        common
+        | (i64(status_2) << 12)
+        | ((i64(int(speed_rad_s_2_steps)) & 0xFFFFFF) << 16)
+        | ((i64(int(current_ma_2_steps)) & 0xFFFF) << 40)
+    )
+    word_3 = (
+        common
+        | (i64(status_3) << 12)
+        | ((i64(int(speed_rad_s_3_steps)) & 0xFFFFFF) << 16)
+        | ((i64(int(current_ma_3_steps)) & 0xFFFF) << 40)
+    )
     check = i64(_CRC[common >> 56 & 0xFF | 1536])
-    word_0 = common | i64(status_0) << 12 | (i64(int(speed_rad_s_0_steps)) & 0xFFFFFF) << 16 | (i64(int(current_ma_0_steps)) & 0xFFFF) << 40
     word_0 = (
         word_0
         ^ 0xCD
@@ -374,7 +429,6 @@ def encode_rw_tlms(counter: int, status: Nibbles4, speed_rad_s: Floats4, current
         ^ i64(_CRC[word_0 >> 40 & 0xFF | 1024])
         ^ i64(_CRC[word_0 >> 48 & 0xFF | 1280])
     )
-    word_1 = common | i64(status_1) << 12 | (i64(int(speed_rad_s_1_steps)) & 0xFFFFFF) << 16 | (i64(int(current_ma_1_steps)) & 0xFFFF) << 40
     word_1 = (
         word_1
         ^ 0xA8
@@ -386,7 +440,6 @@ def encode_rw_tlms(counter: int, status: Nibbles4, speed_rad_s: Floats4, current
         ^ i64(_CRC[word_1 >> 40 & 0xFF | 1024])
         ^ i64(_CRC[word_1 >> 48 & 0xFF | 1280])
     )
-    word_2 = common | i64(status_2) << 12 | (i64(int(speed_rad_s_2_steps)) & 0xFFFFFF) << 16 | (i64(int(current_ma_2_steps)) & 0xFFFF) << 40
     word_2 = (
         word_2
         ^ 0x07
@@ -398,7 +451,6 @@ def encode_rw_tlms(counter: int, status: Nibbles4, speed_rad_s: Floats4, current
         ^ i64(_CRC[word_2 >> 40 & 0xFF | 1024])
         ^ i64(_CRC[word_2 >> 48 & 0xFF | 1280])
     )
-    word_3 = common | i64(status_3) << 12 | (i64(int(speed_rad_s_3_steps)) & 0xFFFFFF) << 16 | (i64(int(current_ma_3_steps)) & 0xFFFF) << 40
     word_3 = (
         word_3
         ^ 0x62
@@ -439,8 +491,22 @@ def encode_fogs(counter: int, status: Nibbles3, rate_rad_s: Floats3, sync_cnt: i
     ):
         return codec.encode_fogs(counter, status, rate_rad_s, sync_cnt)
     common = i64(counter) << 8 | i64(sync_cnt) << 48
+    word_0 = (
+        common
+        | (i64(status_0) << 12)
+        | ((i64(int(rate_rad_s_0_steps)) & 0xFFFFFFFF) << 16)
+    )
+    word_1 = (
+        common
+        | (i64(status_1) << 12)
+        | ((i64(int(rate_rad_s_1_steps)) & 0xFFFFFFFF) << 16)
+    )
+    word_2 = (
+        common
+        | (i64(status_2) << 12)
+        | ((i64(int(rate_rad_s_2_steps)) & 0xFFFFFFFF) << 16)
+    )
     check = i64(_CRC[common >> 48 & 0xFF | 1280])
-    word_0 = common | i64(status_0) << 12 | (i64(int(rate_rad_s_0_steps)) & 0xFFFFFFFF) << 16
     word_0 = (
         word_0
         ^ 0xEF
@@ -451,7 +517,6 @@ def encode_fogs(counter: int, status: Nibbles3, rate_rad_s: Floats3, sync_cnt: i
         ^ i64(_CRC[word_0 >> 32 & 0xFF | 768])
         ^ i64(_CRC[word_0 >> 40 & 0xFF | 1024])
     )
-    word_1 = common | i64(status_1) << 12 | (i64(int(rate_rad_s_1_steps)) & 0xFFFFFFFF) << 16
     word_1 = (
         word_1
         ^ 0x8A
@@ -462,7 +527,6 @@ def encode_fogs(counter: int, status: Nibbles3, rate_rad_s: Floats3, sync_cnt: i
         ^ i64(_CRC[word_1 >> 32 & 0xFF | 768])
         ^ i64(_CRC[word_1 >> 40 & 0xFF | 1024])
     )
-    word_2 = common | i64(status_2) << 12 | (i64(int(rate_rad_s_2_steps)) & 0xFFFFFFFF) << 16
     word_2 = (
         word_2
         ^ 0x25
@@ -484,8 +548,8 @@ def encode_fogs(counter: int, status: Nibbles3, rate_rad_s: Floats3, sync_cnt: i
     return writer.getvalue()
 
 
-def decode_sensors(batch: bytes, counter: int) -> tuple[float, float, float, float, int, int, int, int, float, float, float, int] | None:
-    """(speed, current, rate, tick) of the frames 0x190..0x193, 0x1A0..0x1A2, 0x080..0x080, each signal frame by frame."""
+def decode_sensors(batch: bytes, counter: int) -> tuple[float, float, float, float, int, int, int, int, float, float, float, int]:
+    """(speed, current, rate, tick) of the frames 0x190..0x193, 0x1A0..0x1A2, 0x080..0x080, each signal frame by frame; tick is -1 unless all is right."""
     if len(batch) != 128 or not 0 <= counter <= 14:
         return codec.decode_sensors(batch, counter)
     known = i64(counter) << 8
@@ -515,7 +579,7 @@ def decode_sensors(batch: bytes, counter: int) -> tuple[float, float, float, flo
         | (word_6 & 0xFF00 ^ known)
         | (word_7 & 0xFF00 ^ known)
     ):
-        return None
+        return (0.0, 0.0, 0.0, 0.0, 0, 0, 0, 0, 0.0, 0.0, 0.0, -1)
     check_known = i64(_CRC[known >> 8 & 0xFF])
     if (
         (
@@ -607,7 +671,7 @@ def decode_sensors(batch: bytes, counter: int) -> tuple[float, float, float, flo
             ^ i64(_CRC[word_7 >> 56 & 0xFF | 1536])
         )
     ):
-        return None
+        return (0.0, 0.0, 0.0, 0.0, 0, 0, 0, 0, 0.0, 0.0, 0.0, -1)
     return (
         int((word_0 >> 16 & 0xFFFFFF ^ 0x800000) - 0x800000) * 0.001,
         int((word_1 >> 16 & 0xFFFFFF ^ 0x800000) - 0x800000) * 0.001,
@@ -621,8 +685,8 @@ def decode_sensors(batch: bytes, counter: int) -> tuple[float, float, float, flo
     )
 
 
-def decode_commands(batch: bytes, counter: int) -> tuple[float, float, float, float, int, int, int, int, int] | None:
-    """(torque, sync_cnt, tick) of the frames 0x110..0x113, 0x081..0x081, each signal frame by frame."""
+def decode_commands(batch: bytes, counter: int) -> tuple[float, float, float, float, int, int, int, int, int]:
+    """(torque, sync_cnt, tick) of the frames 0x110..0x113, 0x081..0x081, each signal frame by frame; tick is -1 unless all is right."""
     if len(batch) != 80 or not 0 <= counter <= 14:
         return codec.decode_commands(batch, counter)
     known = i64(counter) << 8
@@ -644,7 +708,7 @@ def decode_commands(batch: bytes, counter: int) -> tuple[float, float, float, fl
         | (word_3 & 0xFF00 ^ known_1)
         | (word_4 & 0xF00 ^ known)
     ):
-        return None
+        return (0.0, 0.0, 0.0, 0.0, 0, 0, 0, 0, -1)
     check_known_1 = i64(_CRC[known_1 >> 8 & 0xFF])
     if (
         (
@@ -703,7 +767,7 @@ def decode_commands(batch: bytes, counter: int) -> tuple[float, float, float, fl
             ^ i64(_CRC[word_4 >> 56 & 0xFF | 1536])
         )
     ):
-        return None
+        return (0.0, 0.0, 0.0, 0.0, 0, 0, 0, 0, -1)
     return (
         int((word_0 >> 16 & 0xFFFFFFFF ^ 0x80000000) - 0x80000000) * 1e-07,
         int((word_1 >> 16 & 0xFFFFFFFF ^ 0x80000000) - 0x80000000) * 1e-07,

@@ -152,7 +152,7 @@ def test_rounding_without_a_call(values: list[float]) -> None:
 def test_taken_batches_agree(batch: str, data: st.DataObject) -> None:
     """A batch in which all is right is taken, with the same values; with any other counter it is not."""
     frames, counter = data.draw(sealed_batches(batch))
-    assert getattr(native_codec, f"decode_{batch}")(frames, counter) is not None
+    assert getattr(native_codec, f"decode_{batch}")(frames, counter)[-1] != -1
     for other in range(-18, 18):
         assert both_agree(f"decode_{batch}", frames, other)
 

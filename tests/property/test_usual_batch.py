@@ -197,19 +197,19 @@ def test_the_usual_batch_is_taken_at_once() -> None:
         *(values[2] for values in one_by_one[:4] if values is not None), 9, 9, 9, 9, 9,
     )  # fmt: skip
     for counter in (5, 14, -1):
-        assert decode_sensors(sensors, counter) is None
-        assert decode_commands(commands, counter) is None
+        assert decode_sensors(sensors, counter)[-1] == -1
+        assert decode_commands(commands, counter)[-1] == -1
 
 
 def test_one_turned_bit_is_always_seen() -> None:
     """No batch with a single bit turned over, anywhere in header, padding, checksum or payload, passes."""
     commands = encode_rw_cmds(4, (1, 1, 1, 1), (0.01, -0.02, 0.03, 0.1), 9) + encode_CYCLE_DONE(4, 2, 9, 0)
     bits = int.from_bytes(commands, "little")
-    assert all(decode_commands((bits ^ 1 << bit).to_bytes(80, "little"), 4) is None for bit in range(640))
+    assert all(decode_commands((bits ^ 1 << bit).to_bytes(80, "little"), 4)[-1] == -1 for bit in range(640))
     sensors = (
         encode_rw_tlms(4, (0, 0, 0, 0), (1.5, -2.5, 600.123, 0.001), (1.0, 2.0, 3.0, 4.0), 9)
         + encode_fogs(4, (0, 0, 0), (0.1, -0.2, 0.3), 9)
         + encode_SYNC(4, 0, 9)
     )
     bits = int.from_bytes(sensors, "little")
-    assert all(decode_sensors((bits ^ 1 << bit).to_bytes(128, "little"), 4) is None for bit in range(1024))
+    assert all(decode_sensors((bits ^ 1 << bit).to_bytes(128, "little"), 4)[-1] == -1 for bit in range(1024))

@@ -165,6 +165,7 @@ def write_batch(function: str, rows: Any, by_id: dict[int, Any], fields: dict[in
             results += [value.replace(field.name, f"{field.name}_{number + k}") for k in range(count)]
         number += count
     upper = function.upper()
+    nothing = ["0.0" if kind == "float" else "0" for kind in kinds[:-1]] + ["-1"]
     known = [f"(_HEAD_{m.name}, {nibble})" for m, nibble in zip(messages, nibbles, strict=True)]
     checks = "\n        or ".join(
         f"_crc(rest_{k}, 0x{checksum_start(m.dbc.attributes['DataID'].value):02X}) != sum_{k}"
@@ -176,21 +177,22 @@ def write_batch(function: str, rows: Any, by_id: dict[int, Any], fields: dict[in
 _BITS_{upper}, _KNOWN_{upper} = _know({wrap(known, 4, "(", ")")})
 _sums_{function} = Struct("<" + "8xB7s" * {number}).unpack
 _values_{function} = Struct("<{pieces}").unpack
+_NO_{upper} = {wrap(nothing, 4, "(", ")")}
 
 
-def decode_{function}({wrap(["batch: bytes", "counter: int"], 4, "", "")}) -> {wrap(kinds, 4, "tuple[", "] | None")}:
+def decode_{function}({wrap(["batch: bytes", "counter: int"], 4, "", "")}) -> {wrap(kinds, 4, "tuple[", "]")}:
     \"""({", ".join(labels)}) of the frames {ids}, each signal frame by frame.
 
-    None unless these are exactly the frames, in this order, with this counter, the expected high nibbles and right
-    checksums. `counter` -1, none expected yet, gives None too.
+    tick is -1 unless these are exactly the frames, in this order, with this counter, the expected high nibbles and
+    right checksums. With `counter` -1, none expected yet, it is -1 too.
     \"""
     if len(batch) != {16 * number} or _bits(batch, "little") & _BITS_{upper} != _KNOWN_{upper}[counter]:
-        return None
+        return _NO_{upper}
     {wrap([f"sum_{k}, rest_{k}" for k in range(number)], 8, "(", ")")} = _sums_{function}(batch)
     if (
         {checks}
     ):
-        return None
+        return _NO_{upper}
     {wrap(names, 8, "(", ")")} = _values_{function}(batch)
     return {wrap(results, 8, "(", ")")}"""
 
@@ -221,8 +223,8 @@ Raises ValueError for NaN and TypeError for a count that is not a whole number.
 decode_<NAME>(data) returns (counter, nibble, *signals) of the 8 data bytes, or None where the checksum does not fit
 data and id, or where the length is not 8. It raises on no bytes whatever.
 
-decode_<batch>(batch, counter) takes all frames of one tick at once where they are what they nearly always are, and
-returns None everywhere else: then the frames must be looked at one by one.
+decode_<batch>(batch, counter) takes all frames of one tick at once where they are what they nearly always are. Its last
+value is the tick, or -1 everywhere else: then the frames must be looked at one by one.
 """
 
 from __future__ import annotations
@@ -267,13 +269,13 @@ def _know(frames: tuple[tuple[tuple[bytes, ...], int | None], ...]) -> tuple[int
 
 SATURATE = '''
 
-def _saturate(frame_id: int, *values: float) -> bytes:
+def _saturate(frame_id: int, *values: Any) -> bytes:
     """Frame with every value moved into its range. Raises ValueError for NaN, TypeError for a fraction of a count."""
-    bounded: list[float] = []
+    bounded = []
     for value, (label, minimum, maximum, is_count) in zip(values, _LIMITS[frame_id], strict=True):
         if value != value:
             raise ValueError(f"frame 0x{frame_id:03X}: {label} is not a number; the caller must send a finite value")
-        bounded.append(min(max(index(value) if is_count else value, minimum), maximum))  # type: ignore[arg-type]
+        bounded.append(min(max(index(value) if is_count else value, minimum), maximum))
     return ENCODERS[frame_id](*bounded)
 '''
 
@@ -309,7 +311,7 @@ def generate_codec(database: Any) -> str:
     parts.append(KNOW)
     for function, rows in BATCHES:
         parts.append("\n" + write_batch(function, rows, by_id, fields) + "\n")
-    parts.append("\n_LIMITS: dict[int, tuple[tuple[str, float, float, bool], ...]] = {")
+    parts.append("\n_LIMITS: dict[int, tuple[tuple[str, Any, Any, bool], ...]] = {")
     parts += [write_limits(m, fields[m.frame_id]) for m in messages]
     parts.append("}\n\nENCODERS: dict[int, Encoder] = {")
     parts += [f"    0x{m.frame_id:03X}: encode_{m.name}," for m in messages]

@@ -7,6 +7,7 @@ What the compiler (mypyc) makes of it decides its shape:
   word. A padding byte that is sent as 0 has no entry, and what frames have in common is looked up once.
 - Adding and taking away 1.5 * 2^52 rounds half-even as round() does, without a call.
 - All checks of a function are one condition. Whatever does not meet it is left to bus/icd/codec.py.
+- A tuple is a C struct, unless it may be None: then it and all in it are objects. Hence the tick of -1.
 - No word wraps around: run plain, with integers of any length, it computes the same.
 """
 
@@ -165,14 +166,15 @@ def write_frames(function: str, messages: list[Any], fields: list[Field], is_gro
     lines.append(
         f"    common = {' | '.join(['i64(counter) << 8', *(place_field(f, f'i64({f.name})') for f in counts)])}"
     )
+    for n in numbers:
+        parts = ["common", f"(i64({nibble}{n}) << 12)"]
+        parts += [f"({place_field(f, f'i64(int({f.name}{n}_steps))')})" for f in measured]
+        lines.append(f"    word{n} = {join(parts, '|', 8)}")
     shared = check_bytes("common", used_places(counts)) if is_group else []
     if shared:
         lines.append(f"    check = {' ^ '.join(shared)}")
     places = [1, *used_places(measured)] if is_group else [1, *used_places(fields)]
     for n, message in zip(numbers, messages, strict=True):
-        parts = ["common", f"i64({nibble}{n}) << 12"]
-        parts += [place_field(f, f"i64(int({f.name}{n}_steps))") for f in measured]
-        lines.append(f"    word{n} = {' | '.join(parts)}")
         terms = [f"word{n}", f"0x{start_of(message):02X}", *(["check"] if shared else [])]
         lines.append(f"    word{n} = {join([*terms, *check_bytes(f'word{n}', places)], '^', 8)}")
     lines += ["    writer = _writer", "    writer.truncate(0)"]
@@ -210,6 +212,7 @@ def write_batch(function: str, rows: Any, by_id: dict[int, Any], fields: dict[in
             kinds += [field.kind_out] * count
             values += [physical(field, f"word_{number + k}") for k in range(count)]
         number += count
+    nothing = f"({', '.join(['0.0' if kind == 'float' else '0' for kind in kinds[:-1]] + ['-1'])})"
     labels = [label.lower() for *_, labels in rows for label in labels]
     ids = ", ".join(f"0x{first:03X}..0x{first + count - 1:03X}" for first, count, *_ in rows)
     known = [f"read_i64_le(batch, {16 * k}) ^ {header_of(m)}" for k, (m, _) in enumerate(frames)]
@@ -220,7 +223,7 @@ def write_batch(function: str, rows: Any, by_id: dict[int, Any], fields: dict[in
     lines = [f"    known_{n} = known | 0x{n << 12:X}" for n in second if n]
     lines += [f"    word_{k} = read_i64_le(batch, {16 * k + 8})" for k in range(len(frames))]
     lines.append(f"    if {join([f'({term})' for term in known], '|', 8)}:")
-    lines.append("        return None")
+    lines.append(f"        return {nothing}")
     for name in second.values():
         lines.append(f"    check_{name} = {look_up(take_byte(name, 1), 1)}")
     checks = []
@@ -230,10 +233,10 @@ def write_batch(function: str, rows: Any, by_id: dict[int, Any], fields: dict[in
         terms += check_bytes(f"word_{k}", list(range(2 if shared else 1, 8)))
         checks.append(join(terms, "^", 12))
     lines.append(f"    if {join(checks, '|', 8)}:")
-    lines.append("        return None")
+    lines.append(f"        return {nothing}")
     body = "\n".join(lines)
-    return f"""def decode_{function}(batch: bytes, counter: int) -> {wrap(kinds, 4, "tuple[", "] | None")}:
-    \"""({", ".join(labels)}) of the frames {ids}, each signal frame by frame.\"""
+    return f"""def decode_{function}(batch: bytes, counter: int) -> {wrap(kinds, 4, "tuple[", "]")}:
+    \"""({", ".join(labels)}) of the frames {ids}, each signal frame by frame; tick is -1 unless all is right.\"""
     if len(batch) != {size} or not 0 <= counter <= 14:
         return codec.decode_{function}(batch, counter)
     known = i64(counter) << 8
