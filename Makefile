@@ -7,7 +7,7 @@ SCENARIO ?= zhang2018
 # Most tests start Python again: without byte code kept, each of them would compile everything once more.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: run setup test test-slow test-all test-vcan test-foxglove lint coverage coverage-gate clean
+.PHONY: run setup test test-slow test-all test-vcan test-foxglove lint coverage coverage-gate compiled plain clean
 
 run: $(STAMP)
 	$(BIN)/hilsat run $(SCENARIO)
@@ -61,5 +61,14 @@ coverage-gate: $(STAMP)
 	  --cov=fsw.executive --cov=fsw.schedule --cov=fsw.modes --cov=bus.icd.codec --cov=bus.icd.e2e \
 	  --cov-branch --cov-report=term-missing --cov-fail-under=100
 
-clean:
+# The modules of pyproject.toml's list, compiled beside their sources: docs/compiling.md.
+compiled: $(STAMP)
+	@$(BIN)/python -P -m tools.compiled.build
+
+# Manifest last: what an interruption leaves is noticed.
+plain:
+	find bus fsw hilsat plant_server tools -name '*.so' -delete
+	rm -f bus/compiled.json
+
+clean: plain
 	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis htmlcov .coverage*

@@ -10,6 +10,7 @@ from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+from bus.build import CURRENT
 from bus.icd.messages import dbc_path
 from tools.config.scenario import Resolved
 from tools.log.recorder import RunAttachment
@@ -35,6 +36,7 @@ def describe_run(resolved: Resolved, address: str) -> dict[str, str]:
         "python": sys.version.split()[0],
         "versions": ", ".join(f"{name} {_version(name)}" for name in NAMED_PACKAGES),
         "git_rev": read_revision(),
+        "build": CURRENT.words,
     }
 
 
