@@ -17,6 +17,7 @@ import pytest
 
 from bus.build import LIBRARY, MANIFEST, MEND
 from tools.compiled.project import HOME, SCRATCH
+from tools.compiled.surroundings import describe_missing
 from tools.log.mcap_reader import read_run
 
 pytestmark = pytest.mark.slow
@@ -76,6 +77,15 @@ def copy(tmp_path: Path) -> Copy:
     return Copy(tmp_path / "copy")
 
 
+@pytest.fixture
+def compiler() -> None:
+    """What compiling needs; the plain build does without, and so do the other tests."""
+    missing = describe_missing(HOME)
+    if missing:
+        pytest.skip(missing)
+
+
+@pytest.mark.usefixtures("compiler")
 def test_built_it_computes_the_same_and_is_refused_when_stale(copy: Copy) -> None:
     """One life of a build: said by version and log, equal digests, plain on demand, stale refused at each way in, mended."""
     digest, metadata = copy.fly("before")
@@ -143,8 +153,9 @@ def test_without_a_compiler_it_says_so(copy: Copy, tmp_path: Path) -> None:
     assert copy.version() == "plain"
 
 
+@pytest.mark.usefixtures("compiler")
 def test_what_does_not_compile_leaves_nothing_in_place(copy: Copy) -> None:
-    """A type error, a trap of the rules, and C that the compiler refuses: its words, exit code 1, plain."""
+    """A type error and a trap of the rules: words, exit code 1, plain."""
     source = copy.root / "bus" / "linear.py"
     before = source.read_text()
     for addition, words in (
@@ -175,6 +186,7 @@ def start_builder(copy: Copy, ready: Callable[[], bool]) -> subprocess.Popen[str
     return builder
 
 
+@pytest.mark.usefixtures("compiler")
 @pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGKILL])
 def test_interrupted_while_it_compiles_it_leaves_plain(copy: Copy, end: signal.Signals) -> None:
     """Ctrl-C, with words and exit code 130, and a kill, while the C compiler works: the old build is gone, plain runs."""
@@ -192,6 +204,7 @@ def test_interrupted_while_it_compiles_it_leaves_plain(copy: Copy, end: signal.S
     assert copy.version() == "plain"
 
 
+@pytest.mark.usefixtures("compiler")
 def test_a_second_builder_and_a_half_build_are_told(copy: Copy) -> None:
     """One at a time; and what a kill between two files leaves is refused until one of the ways on is taken."""
     builder = start_builder(copy, (copy.root / SCRATCH / "cache").exists)

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import copy
+import importlib
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
+from types import ModuleType
+from typing import Any, Generic, TypeVar
 
 import pytest
 
@@ -24,6 +28,7 @@ from tools.config.scenario_files import find_scenario
 from tools.run.bench import Bench
 from tools.run.provenance import describe_run
 
+T = TypeVar("T")
 MODULES = ["bus/linear.py", "fsw/rotation.py"]
 STALE = Build(trouble="the compiled build is stale: so it is")
 
@@ -267,3 +272,47 @@ def test_git_and_the_plain_wheel_leave_a_build_out() -> None:
     """Both go by .gitignore."""
     ignored = (Path(bus.__file__).resolve().parents[1] / ".gitignore").read_text().splitlines()
     assert {"*.so", f"{MANIFEST}*"} <= set(ignored)
+
+
+@pytest.mark.parametrize(
+    ("target", "choice", "compiles"), [("wheel", "", False), ("wheel", "1", True), ("sdist", "1", False)]
+)
+def test_the_wheel_is_plain_unless_asked(
+    target: str, choice: str, compiles: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without the variable the hook adds nothing; with it, files, the tag, what is needed to build and to run."""
+    place_of_it = "hatchling.builders.hooks.plugin.interface"
+    for name in (place_of_it[: end.start()] for end in re.finditer(r"\.|$", place_of_it)):
+        monkeypatch.setitem(sys.modules, name, ModuleType(name))
+    sys.modules[place_of_it].BuildHookInterface = HatchHook  # type: ignore[attr-defined]
+    monkeypatch.delitem(sys.modules, "tools.compiled.wheel_hook", raising=False)
+    hook: Any = importlib.import_module("tools.compiled.wheel_hook").CompiledWheel(target)
+    monkeypatch.delitem(sys.modules, "tools.compiled.wheel_hook")
+    monkeypatch.setenv("HILSAT_COMPILE", choice)
+    made = ({MANIFEST: HOME / "x.json"}, ["librt==0.1.2"])
+    monkeypatch.setattr("tools.compiled.build.compile_for_wheel", lambda home: made)
+    monkeypatch.setattr(sys, "path", sys.path[:])
+    pure: dict[str, Any] = {"pure_python": True, "infer_tag": False, "force_include": {}, "dependencies": []}
+    data = copy.deepcopy(pure)
+    hook.initialize("editable", data)
+    assert data == pure
+    hook.initialize("standard", data)
+    needed = [re.split(r"[<>=]", word)[0] for word in hook.dependencies()]
+    if compiles:
+        assert not data["pure_python"]
+        assert data["infer_tag"]
+        assert data["force_include"] == {str(HOME / "x.json"): MANIFEST}
+        assert data["dependencies"] == ["librt==0.1.2"]
+        assert {"mypy", "librt", "setuptools", "numpy"} <= set(needed)
+    else:
+        assert data == pure
+        assert needed == []
+
+
+class HatchHook(Generic[T]):
+    """As much of hatchling's interface as the hook uses."""
+
+    root = str(HOME)
+
+    def __init__(self, target_name: str) -> None:
+        self.target_name = target_name
