@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from types import FrameType
 
+from bus.build import CURRENT
 from bus.errors import HilsatError
 from bus.streams import open_streams
 from bus.telemetry.link import Link
@@ -63,8 +64,8 @@ def raise_signals() -> Iterator[list[int]]:
 def run_process(name: str, body: Callable[[], None]) -> int:
     """Run the body of a process, which is all that is left of it to do; return its exit code.
 
-    0 when it ends, 128 + n for a signal, 3 for what nobody foresaw, else the error's own, after its message on stderr
-    under `name`. Signals that come once it is ending are ignored from then on.
+    0 when it ends, 128 + n for a signal, 3 for what nobody foresaw, 2 for a compiled build that is stale, else the error's
+    own, after its message on stderr under `name`. Signals that come once it is ending are ignored from then on.
     """
     return guard_process(name, body, _catch_signals)
 
@@ -75,6 +76,9 @@ def guard_process(name: str, body: Callable[[], None], prepare: Callable[[], Non
     prepare : called first of all, with the streams open
     """
     open_streams()
+    if CURRENT.trouble:
+        print(f"{name}: {CURRENT.trouble}", file=sys.stderr)
+        return 2
     try:
         try:
             prepare()

@@ -13,6 +13,7 @@ import signal
 import pytest
 from hypothesis import settings
 
+from bus.build import CURRENT
 from bus.wire.can_link import find_link, kernel_has_can
 
 # A loaded machine is no reason to fail, so no example has a deadline.
@@ -20,6 +21,17 @@ EXAMPLES = 100 if os.environ.get("HILSAT_THOROUGH") == "1" else 25
 settings.register_profile("fresh", deadline=None, max_examples=EXAMPLES)
 settings.register_profile("same", deadline=None, max_examples=EXAMPLES, derandomize=True)
 settings.load_profile("same" if os.environ.get("CI") else "fresh")
+
+
+def pytest_configure() -> None:
+    """Not one test against a compiled build that is stale."""
+    if CURRENT.trouble:
+        pytest.exit(f"hilsat: {CURRENT.trouble}", returncode=2)
+
+
+def pytest_report_header() -> str:
+    """Which build the tests are about."""
+    return f"hilsat: {CURRENT.words}"
 
 
 # A shell starts what it puts in the background with SIGINT ignored, nohup with SIGHUP, and children inherit that: they would

@@ -12,6 +12,7 @@ import os
 import signal
 import sys
 
+from bus.build import CURRENT
 from bus.errors import HilsatError
 from bus.process import Interrupted
 from bus.streams import open_streams, read_failure
@@ -37,6 +38,9 @@ def main(argv: list[str] | None = None) -> int:
     """Run one verb; return the exit code. What cannot be written on stdout does not change it."""
     open_streams()
     words = sys.argv[1:] if argv is None else argv
+    if CURRENT.trouble:
+        print(f"hilsat: {CURRENT.trouble}", file=sys.stderr)
+        return 2
     if not sys.platform.startswith("linux"):
         print(
             f"hilsat runs on Linux (this is {sys.platform}); on Windows use WSL, on macOS a Linux VM", file=sys.stderr
@@ -82,7 +86,7 @@ def _make_parser(words: list[str]) -> argparse.ArgumentParser:
         description="Hardware-in-the-loop test bench for satellite attitude-control flight software.",
         epilog="Exit codes: 0 passed, 1 graded a fail, 2 usage or configuration, 3 infrastructure.",
     )
-    parser.add_argument("--version", action="version", version=f"hilsat {_version()}")
+    parser.add_argument("--version", action="version", version=f"hilsat {_version()} ({CURRENT.words})")
     parser.add_argument("--debug", action="store_true", help="show the traceback of what was not foreseen")
     subparsers = parser.add_subparsers(metavar="VERB", required=True)
     wanted = next((word for word in words if not word.startswith("-")), None)

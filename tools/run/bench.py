@@ -23,6 +23,7 @@ from types import TracebackType
 from typing import Any, Literal, Self
 
 from bus.attitude import angle_between
+from bus.build import CURRENT
 from bus.clock import SystemClock
 from bus.commands import Command
 from bus.errors import ConfigError, RecordError, UsageError
@@ -64,8 +65,11 @@ class Bench:
 
         plant_link, fsw_link : where telemetry goes; None: to the log, or nowhere
         log                  : a file that does not exist yet, "memory", or None
-        Raises ConfigError where the scenario cannot be flown, RecordError where the log cannot be written.
+        Raises ConfigError where the scenario cannot be flown, RecordError where the log cannot be written, UsageError
+        for a compiled build that is stale.
         """
+        if CURRENT.trouble:
+            raise UsageError(CURRENT.trouble)
         scenario = resolved.scenario
         self.resolved = resolved
         self.ticks = resolved.ticks  # of the whole run

@@ -11,6 +11,7 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+from bus.build import CURRENT
 from bus.icd.messages import dbc_path
 from tools.config.scenario import Resolved
 from tools.log.recorder import RunAttachment
@@ -47,6 +48,7 @@ def _describe_program() -> dict[str, str]:
         "python": sys.version.split()[0],
         "versions": ", ".join(f"{name} {_version(name)}" for name in NAMED_PACKAGES),
         "git_rev": read_revision(),
+        "build": CURRENT.words,
     }
 
 
