@@ -13,12 +13,13 @@ class Record:
 
     __slots__ = ()
 
-    def _values(self) -> dict[str, Any]:
+    def values(self) -> dict[str, Any]:
+        """Its values by name."""
         names = getattr(self, "__mypyc_attrs__", None) or type(self).__slots__  # compiled classes have no slots
         return {name: getattr(self, name) for name in names}
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Record) and type(self) is type(other) and self._values() == other._values()
+        return isinstance(other, Record) and type(self) is type(other) and self.values() == other.values()
 
     def __repr__(self) -> str:
-        return f"{type(self).__name__}({', '.join(f'{name}={value!r}' for name, value in self._values().items())})"
+        return f"{type(self).__name__}({', '.join(f'{name}={value!r}' for name, value in self.values().items())})"

@@ -24,6 +24,8 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any, Final, Protocol
 
+from mypy_extensions import mypyc_attr
+
 from bus.errors import RecordError
 from bus.telemetry.cdr import (
     FRAMES_SCHEMA,
@@ -103,6 +105,7 @@ def announce_topics(
     return json.dumps(table).encode()
 
 
+@mypyc_attr(allow_interpreted_subclasses=True)
 class Link:
     """Where a process puts its telemetry. `dropped` counts the ticks that found no room.
 

@@ -15,6 +15,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bus.record import Record
 from bus.units import Vec3, Vec4
 from fsw import allocators, controllers, estimation, gyro_fdi, observers, wheel_health
 from fsw.records import HEALTHY, Estimate, PointingError, Sensors, WheelHealth, WheelReading
@@ -111,8 +112,8 @@ def flatten(value: Any) -> list[float]:
     """Every number in a nest of tuples and records."""
     if isinstance(value, (tuple, list)):
         return [number for item in value for number in flatten(item)]
-    if hasattr(type(value), "__slots__"):
-        return [number for key in type(value).__slots__ for number in flatten(getattr(value, key))]
+    if isinstance(value, Record):
+        return [number for item in value.values().values() for number in flatten(item)]
     return [] if value is None else [float(value)]
 
 
