@@ -271,7 +271,9 @@ def part_group(batch: bytes, size: int, group_ids: Container[int]) -> tuple[byte
 
     None where that is not whole frames of other ids, so that it would matter which are looked at first.
     """
+    if len(batch) <= size:
+        return None
     ahead = batch[size - FRAME_SIZE : -FRAME_SIZE]
-    if not ahead or len(ahead) % FRAME_SIZE or any(can_id in group_ids for (can_id,) in FRAME_ID.iter_unpack(ahead)):
+    if len(ahead) % FRAME_SIZE or any(can_id in group_ids for (can_id,) in FRAME_ID.iter_unpack(ahead)):
         return None
     return batch[: size - FRAME_SIZE] + batch[-FRAME_SIZE:], ahead

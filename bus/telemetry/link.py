@@ -194,11 +194,12 @@ class TelemetryLink(Link):
     and the recorder's wake-up costs more than the writing: it holds rows for HOLD_S or HOLD_TICKS.
     """
 
-    def __init__(self, fd: int | None, source: int, blocking: bool) -> None:
+    def __init__(self, fd: int | None, source: int, blocking: bool, stall_s: float = STALL_S) -> None:
         super().__init__(HOLD_TICKS if blocking else 1)
         self._fd = fd
         self._source = source
         self._blocking = blocking
+        self._stall_s = stall_s
         self._tail = b""  # the rest of a piece that the pipe took only in part
         self._last_tick = 0
         if fd is not None:
@@ -262,11 +263,11 @@ class TelemetryLink(Link):
         poller = select.poll()
         poller.register(fd, select.POLLOUT)
         while self._tail:
-            if not poller.poll(int(STALL_S * 1000) if wait else 0):
+            if not poller.poll(int(self._stall_s * 1000) if wait else 0):
                 if not wait:
                     return False
                 raise RecordError(
-                    f"telemetry of tick {self._last_tick}: the recorder took nothing for {STALL_S:g} s; "
+                    f"telemetry of tick {self._last_tick}: the recorder took nothing for {self._stall_s:g} s; "
                     "is its disk stuck, or the process stopped?"
                 )
             try:

@@ -93,6 +93,12 @@ def command_frames(draw: Any, tick: int) -> list[bytes]:
     return split(batch + encode_CYCLE_DONE(tick % 15, draw(st.integers(0, 3)), tick, 0))
 
 
+def names_of(cls: type) -> tuple[str, ...]:
+    """The attributes of a class with slots, which one that is compiled names otherwise."""
+    names: tuple[str, ...] = getattr(cls, "__mypyc_attrs__", ()) or cls.__slots__  # type: ignore[attr-defined]
+    return names
+
+
 def split(batch: bytes) -> list[bytes]:
     return [batch[at : at + 16] for at in range(0, len(batch), 16)]
 
@@ -138,9 +144,9 @@ def forget(side: Inputs | Channel) -> None:
 
 def describe_links(links: dict[int, Any]) -> list[tuple[Any, ...]]:
     """All that a link knows, its suspicions included."""
-    parts = [name for name in Link.__slots__ if name not in ("decode", "_pace")]
+    parts = [name for name in names_of(Link) if name not in ("decode", "_pace")]
     return [
-        (i, *(getattr(link, name) for name in parts), *(getattr(link._pace, name) for name in Pace.__slots__))
+        (i, *(getattr(link, name) for name in parts), *(getattr(link._pace, name) for name in names_of(Pace)))
         for i, link in sorted(links.items())
     ]
 

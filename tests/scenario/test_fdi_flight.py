@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +16,7 @@ import pytest
 from fsw.gyro_fdi import REGISTRY
 from fsw.gyro_fdi.classification import FaultKind
 from fsw.gyro_fdi.settings import PracticalDetectorConfig, Wang2010DetectorConfig
+from fsw.records import Sensors, WheelReading
 from fsw.settings import ModelConfig
 from fsw.vehicle import Vehicle
 from plant_server.faults import Fault, make_fault
@@ -49,8 +49,8 @@ def record(settings: FlightSettings) -> tuple[list[Moment], Bench]:
     moments: list[Moment] = []
 
     def keep(moment: Moment) -> None:
-        wheels = tuple(replace(wheel) for wheel in moment.sensors.wheels)
-        moments.append(moment._replace(sensors=replace(moment.sensors, wheels=wheels)))
+        wheels = tuple(WheelReading(**wheel.values()) for wheel in moment.sensors.wheels)
+        moments.append(moment._replace(sensors=Sensors(**moment.sensors.values() | {"wheels": wheels})))
 
     bench = fly(settings, keep)
     return moments, bench

@@ -91,6 +91,21 @@ class Wire:
         return batch
 
 
+class Watched:
+    """A node, and what its ticks were given."""
+
+    def __init__(self, bed: Bed) -> None:
+        self._bed = bed
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._bed.node, name)
+
+    def tick(self, number: int, frames: bytes, *rest: Any) -> None:
+        self._bed.ticks.append(number)
+        self._bed.frames.append(frames)
+        self._bed.node.tick(number, frames, *rest)
+
+
 class Bed:
     """A node with a log in memory."""
 
@@ -105,14 +120,7 @@ class Bed:
         self.node = FswNode(self.flight, self.link, TICK_NS, self.clock, commands)
         self.frames: list[bytes] = []
         self.ticks: list[int] = []
-        tick = self.node.tick
-
-        def watch(number: int, frames: bytes, *rest: Any) -> None:
-            self.ticks.append(number)
-            self.frames.append(frames)
-            tick(number, frames, *rest)
-
-        self.node.tick = watch  # type: ignore[method-assign]
+        self.watched: Any = Watched(self)  # in the place of the node
 
     def read_log(self) -> Run:
         self.link.close("done")
@@ -127,7 +135,7 @@ def lock(batches: list[bytes], ticks: int, departed: tuple[str, ...] = ()) -> tu
     bed = Bed()
     wire = Wire(bed.clock, iter(batches))
     wire.departed += departed
-    return bed, wire, LockStep(bed.node, wire, bed.clock, ticks)  # type: ignore[arg-type]
+    return bed, wire, LockStep(bed.watched, wire, bed.clock, ticks)  # type: ignore[arg-type]
 
 
 def test_one_cycle_for_every_sync_and_the_end() -> None:
@@ -227,7 +235,7 @@ def pace(policy: str, late: dict[int, float], ticks: int = 60, limit: int = 10) 
     wire.cost_ns = {number: round(periods * TICK_NS) for number, periods in late.items()}
     executive = Executive(TICK_NS, policy, limit, bed.clock)
     watchdog = Watchdog(10**15, bed.clock)
-    return bed, spy, RealTime(bed.node, executive, watchdog, wire, bed.clock, ticks)  # type: ignore[arg-type]
+    return bed, spy, RealTime(bed.watched, executive, watchdog, wire, bed.clock, ticks)  # type: ignore[arg-type]
 
 
 def test_on_time_every_tick_runs_once() -> None:
@@ -350,7 +358,7 @@ def test_refused_commands_are_announced_and_have_no_effect() -> None:
     wrong = Command(3, "target.slew", {"target_q": [1, 0, 0, 0], "max_rate_deg_s": -1.0}, "ground")
     bed = Bed(unknown, wrong)
     for tick in range(6):
-        bed.node.tick(tick, make_sensors(tick), lambda _: None)
+        bed.watched.tick(tick, make_sensors(tick), lambda _: None)
     assert bed.flight.guidance.target.q_it == (1.0, 0.0, 0.0, 0.0)
     assert not bed.flight.guidance.follows
     log = bed.read_log()
@@ -370,7 +378,7 @@ def test_obeyed_commands_act_on_their_tick_and_are_logged_with_it() -> None:
     for tick in range(7):
         if tick == 5:
             bed.node.commands.add(Command(1, "target.hold", {"target_q": [0.0, 0.0, 1.0, 0.0]}, "ground"))
-        bed.node.tick(tick, make_sensors(tick), lambda _: None)
+        bed.watched.tick(tick, make_sensors(tick), lambda _: None)
         targets.append(bed.flight.guidance.target.q_it.index(1.0))
     assert targets == [0, 0, 0, 1, 1, 2, 2]
     log = bed.read_log()

@@ -11,7 +11,8 @@ import pytest
 from bus.commands import Command
 from bus.icd.codec import encode_CYCLE_DONE, encode_rw_cmds
 from bus.settings import build
-from bus.telemetry.link import PREFIX, Link, Row, TelemetryLink
+from bus.telemetry.link import Link, Row, TelemetryLink
+from bus.telemetry.packing import PREFIX
 from plant_server.config import PlantConfig
 from plant_server.faults import Fault, make_fault
 from plant_server.node import PlantNode

@@ -87,6 +87,6 @@ def test_the_second_run_of_a_process_asks_git_no_more(monkeypatch: pytest.Monkey
     first = provenance.describe_run(resolved, "in process")
     monkeypatch.setattr(provenance, "_ask_git", lambda *words: pytest.fail("git was asked again"))
     second = provenance.describe_run(resolved, "in process")
-    program = ("host", "platform", "python", "versions", "git_rev")
+    program = ("host", "platform", "python", "versions", "git_rev", "build")
     assert [second[key] for key in program] == [first[key] for key in program]
-    assert list(first)[-5:] == list(program)
+    assert list(first)[-6:] == list(program)

@@ -188,7 +188,7 @@ def test_a_real_time_process_drops_whole_ticks_and_never_waits() -> None:
 def test_a_lock_step_process_waits_for_room_and_loses_nothing() -> None:
     """A slow reader delays the writer instead of costing a tick."""
     out, into = os.pipe()
-    link = TelemetryLink(into, 1, blocking=True)
+    link = TelemetryLink(into, 1, blocking=True, stall_s=0.2)
     fcntl.fcntl(into, fcntl.F_SETPIPE_SZ, 4096)
 
     def write() -> None:
@@ -204,11 +204,10 @@ def test_a_lock_step_process_waits_for_room_and_loses_nothing() -> None:
     assert [piece[2] for piece in pieces if piece[0] == TICK] == list(range(300))
 
 
-def test_a_stuck_recorder_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stuck_recorder_is_named() -> None:
     """A lock-step process gives up in words when nothing is taken for the time limit."""
-    monkeypatch.setattr(telemetry, "STALL_S", 0.2)
     out, into = os.pipe()
-    link = TelemetryLink(into, 1, blocking=True)
+    link = TelemetryLink(into, 1, blocking=True, stall_s=0.2)
     fcntl.fcntl(into, fcntl.F_SETPIPE_SZ, 4096)
     link.write_tick(0, 0, bytes(4096 - HEADER.size))
     with pytest.raises(RecordError, match=r"tick 1: the recorder took nothing for 0\.2 s"):
