@@ -7,7 +7,7 @@ SCENARIO ?= zhang2018
 # Most tests start Python again: without byte code kept, each of them would compile everything once more.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: run setup test test-slow test-all test-vcan test-foxglove lint coverage coverage-gate compiled plain clean
+.PHONY: run setup test test-slow test-all test-vcan test-foxglove test-compiled lint coverage coverage-gate compiled plain clean
 
 run: $(STAMP)
 	$(BIN)/hilsat run $(SCENARIO)
@@ -27,12 +27,17 @@ $(STAMP): pyproject.toml
 	@touch $(STAMP)
 
 test: $(STAMP)
-	$(BIN)/python -m pytest -n auto -m "not slow and not vcan and not vcan_host"
+	$(BIN)/python -m pytest -n auto -m "not slow and not vcan and not vcan_host and not compiled"
 
 test-slow: $(STAMP)
-	HILSAT_THOROUGH=1 $(BIN)/python -m pytest -n auto -m "(slow or hypothesis) and not vcan and not vcan_host"
+	HILSAT_THOROUGH=1 $(BIN)/python -m pytest -n auto -m "(slow or hypothesis) and not vcan and not vcan_host and not compiled"
 
-test-all: test test-slow test-vcan test-foxglove
+test-all: test test-slow test-vcan test-foxglove test-compiled
+
+# The same tests against the compiled build, and the same bytes from both for every scenario.
+test-compiled: compiled
+	HILSAT_BUILD=compiled $(BIN)/python -m pytest -n auto -m "not slow and not vcan and not vcan_host and not compiled"
+	$(BIN)/python -m pytest -n auto -m compiled
 
 # Real AF_CAN: natively where the kernel has CAN, else in a user-mode Linux guest; fails where neither works.
 test-vcan: $(STAMP)
@@ -53,7 +58,7 @@ lint: $(STAMP)
 
 # Lines are counted in sources: compiled modules have none.
 coverage: $(STAMP)
-	HILSAT_BUILD=plain $(BIN)/python -m pytest -n auto -m "not slow and not vcan and not vcan_host" --cov --cov-report=term --cov-report=html
+	HILSAT_BUILD=plain $(BIN)/python -m pytest -n auto -m "not slow and not vcan and not vcan_host and not compiled" --cov --cov-report=term --cov-report=html
 
 # What must never fail is covered whole: every line and branch of executive, codec and safe mode.
 coverage-gate: $(STAMP)

@@ -15,8 +15,10 @@ from bus.commands import Command
 from bus.errors import DeadlineError, PeerLostError
 from bus.icd.codec import encode_fogs, encode_HEARTBEAT_PLANT, encode_rw_tlms, encode_STR_QA, encode_STR_QB, encode_SYNC
 from bus.settings import build
+from bus.units import Vec3
 from fsw.config import FswConfig
 from fsw.executive import DEGRADED_CYCLES, Executive, Watchdog
+from fsw.families import Observer
 from fsw.flight import Flight
 from fsw.node import FswNode
 from fsw.pacing import LockStep, RealTime
@@ -212,15 +214,23 @@ def send_on_time(clock: HandClock, ticks: int) -> Iterator[bytes]:
         yield batch + (say(STOPPED) if tick == ticks else b"")
 
 
-class SpyObserver:
+class SpyObserver(Observer):
     """Notes how much time it is told has passed."""
 
     def __init__(self, observer: Any) -> None:
         self._observer = observer
         self.times_s: list[float] = []
 
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._observer, name)
+    @property
+    def internals(self) -> tuple[Any, ...]:
+        found: tuple[Any, ...] = self._observer.internals
+        return found
+
+    def reset(self) -> None:
+        self._observer.reset()
+
+    def shift_rate(self, step_b_rad_s: Vec3) -> None:
+        self._observer.shift_rate(step_b_rad_s)
 
     def step(self, dt_s: float, *rest: Any) -> Any:
         self.times_s.append(dt_s)
@@ -230,7 +240,7 @@ class SpyObserver:
 def pace(policy: str, late: dict[int, float], ticks: int = 60, limit: int = 10) -> tuple[Bed, SpyObserver, RealTime]:
     """A real-time loop in which the n-th answer takes late[n] periods."""
     bed = Bed()
-    bed.flight.observer = spy = SpyObserver(bed.flight.observer)  # type: ignore[assignment]
+    bed.flight.observer = spy = SpyObserver(bed.flight.observer)
     wire = Wire(bed.clock, send_on_time(bed.clock, ticks))
     wire.cost_ns = {number: round(periods * TICK_NS) for number, periods in late.items()}
     executive = Executive(TICK_NS, policy, limit, bed.clock)

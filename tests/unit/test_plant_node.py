@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import pytest
 
@@ -149,7 +149,7 @@ class PackedLink(Link):
 class StampedBus:
     """As much of a transport as a log asks for stamps."""
 
-    kernel_stamps_ns = (7, 8, 9)
+    kernel_stamps_ns: ClassVar = [7, 8, 9]
 
     class counters:
         dropped = 0

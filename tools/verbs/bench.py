@@ -16,12 +16,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from bus.build import CURRENT
 from bus.units import Vec4
 from fsw.families import Detector
 from fsw.records import Detection, Estimate, Sensors
 from tools.config.loader import load_scenario
 from tools.config.scenario import Resolved
 from tools.config.scenario_files import find_scenario
+from tools.measure.other_build import BOTH, has_other, measure_plain, set_beside
 
 SCENARIOS = {  # scenario -> what makes it 100 Hz
     "zhang2018": ["clock.tick_hz=100", "fsw.executive.control_divider=10", "plant.star_tracker.rate_hz=10"],
@@ -46,13 +48,16 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Measure, print, return 0."""
-    results: dict[str, Any] = {"cpus": os.cpu_count(), "python": sys.version.split()[0]}
+    results: dict[str, Any] = {"build": CURRENT.words, "cpus": os.cpu_count(), "python": sys.version.split()[0]}
     wanted = args.only or [name for name in MEASUREMENTS if name not in SLOW]
     for name, measure in MEASUREMENTS.items():
         if name not in wanted:
             continue
         print(f"measuring {name} ...", file=sys.stderr)
         results[name] = measure(args.seconds)
+        if name in BOTH and has_other():
+            print(f"measuring {name} of the plain build ...", file=sys.stderr)
+            results[name] = set_beside(results[name], measure_plain(name, args.seconds))
     if args.json:
         print(json.dumps(results, allow_nan=False))
     else:
@@ -62,6 +67,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _format(value: Any) -> str:
+    if isinstance(value, dict) and all(isinstance(item, int | float) for item in value.values()) and len(value) == 3:
+        return "   ".join(f"{key} {_format(item)}" for key, item in value.items())
     if isinstance(value, dict):
         return "\n             ".join(f"{key:<36} {_format(item)}" for key, item in value.items())
     return f"{value:.4g}" if isinstance(value, float) else str(value)
