@@ -11,6 +11,7 @@ import pytest
 from tools.cli import main
 from tools.measure import instructions, set_up
 from tools.measure.instructions import count_instructions
+from tools.measure.other_build import set_beside
 from tools.verbs import bench
 
 ZHANG = bench.SCENARIOS["zhang2018"]
@@ -21,7 +22,7 @@ def test_set_up_is_told_for_every_scenario(monkeypatch: pytest.MonkeyPatch, caps
     monkeypatch.setattr(set_up, "ROUNDS", 2)
     assert main(["bench", "--only", "set-up", "--json"]) == 0
     table = json.loads(capsys.readouterr().out)
-    assert table.keys() - {"cpus", "python"} == {"set-up"}
+    assert table.keys() - {"build", "cpus", "python"} == {"set-up"}
     assert table["set-up"].keys() == bench.SCENARIOS.keys()
     for figures in table["set-up"].values():
         assert 0 < figures["close alone, cpu-ms, median"] < figures["set-up and close, cpu-ms, median"]
@@ -51,10 +52,10 @@ def test_instructions_are_counted_only_when_asked_for(
     """They take minutes: the default leaves them out."""
     monkeypatch.setattr(bench, "MEASUREMENTS", {name: lambda seconds: {"x": 1.0} for name in bench.MEASUREMENTS})
     assert main(["bench", "--json"]) == 0
-    default = json.loads(capsys.readouterr().out).keys() - {"cpus", "python"}
+    default = json.loads(capsys.readouterr().out).keys() - {"build", "cpus", "python"}
     assert default == bench.MEASUREMENTS.keys() - {"instructions"}
     assert main(["bench", "--json", "--only", "instructions"]) == 0
-    assert json.loads(capsys.readouterr().out).keys() - {"cpus", "python"} == {"instructions"}
+    assert json.loads(capsys.readouterr().out).keys() - {"build", "cpus", "python"} == {"instructions"}
 
 
 def test_without_valgrind_a_line_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -98,3 +99,13 @@ def test_valgrind_counts_a_tick() -> None:
     """More than a thousand bytecodes' worth and less than a start-up: start-up has gone out of the difference."""
     result = count_instructions("zhang2018", ZHANG, 20)
     assert 50_000 < result["instructions per tick"] < 5_000_000, result
+
+
+def test_two_builds_stand_side_by_side() -> None:
+    """Figure by figure with their ratio, group by group; what only one has, or is no number, as it is."""
+    compiled = {"zhang2018": {"speed": 300.0, "note": "x"}, "only here": 1.0}
+    plain = {"zhang2018": {"speed": 100.0, "note": "y"}}
+    assert set_beside(compiled, plain) == {
+        "zhang2018": {"speed": {"compiled": 300.0, "plain": 100.0, "compiled / plain": 3.0}, "note": "x"},
+        "only here": 1.0,
+    }
