@@ -92,6 +92,8 @@ class StarTracker:
         chain = self._chain
         if step >= chain.next_edge:
             chain.refresh(step)
+        if not chain.active:
+            return False
         for fault in chain.active:
             fault.bring_to(t_s)
         lost = self._disturb(None).lost

@@ -22,7 +22,7 @@ class GyroAxis:
     """Scale factor, bandwidth, noise, faults, range and quantisation of one axis."""
 
     __slots__ = (
-        "_carry", "_chain", "_draw_errors", "_filter", "_filtered", "_frozen", "_gain", "_last_rad_s", "_lsb_rate",
+        "_carry", "_chain", "_filter", "_filtered", "_frozen", "_gain", "_last_rad_s", "_lsb_rate", "_noise",
         "_range", "_timeline", "bias_rad_s", "fault_rad_s", "silent", "status",
     )  # fmt: skip
 
@@ -37,7 +37,7 @@ class GyroAxis:
         else:
             scale = config.scale_factor[axis]
         self._gain = 1.0 + scale
-        self._draw_errors = open_errors(terms, config.bias_rad_s[axis], dt_s, seed, unit)
+        self._noise = open_errors(terms, config.bias_rad_s[axis], dt_s, seed, unit)
         self._filter = 1.0 - math.exp(-2.0 * math.pi * config.bandwidth_hz * dt_s) if config.bandwidth_hz else 1.0
         self._filtered: float | None = None
         self._range = config.range_rad_s
@@ -55,7 +55,7 @@ class GyroAxis:
 
         rate_rad_s : true rate about the sensing axis
         """
-        error, self.bias_rad_s, white = self._draw_errors()
+        error, self.bias_rad_s, white = self._noise.draw()
         rate = rate_rad_s * self._gain
         if self._filter != 1.0:
             before = self._filtered

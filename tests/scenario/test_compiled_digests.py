@@ -51,3 +51,36 @@ def test_plain_and_compiled_give_the_same_bytes(scenario: str) -> None:
     plain, compiled = fly(scenario, "plain"), fly(scenario, "compiled")
     assert (plain[0], compiled[0]) == ("plain", "compiled")
     assert plain[1:] == compiled[1:]
+
+
+COUNT = """
+import sys
+from collections import Counter
+from tools.config.loader import load_scenario
+from tools.config.scenario_files import find_scenario
+from tools.run.bench import Bench
+
+bench = Bench(load_scenario(find_scenario(sys.argv[1]), ["clock.mode=inprocess", "expect=[]"]), log="memory")
+bench.step(200)
+calls = Counter()
+sys.setprofile(lambda frame, event, _: calls.update([frame.f_code.co_filename] if event == "call" else []))
+bench.step(1000)
+sys.setprofile(None)
+print(sum(calls.values()) / 1000, *calls.most_common(5))
+"""
+
+
+@pytest.mark.parametrize("scenario", ["zhang2018", "zhang2018-flight"])
+def test_a_tick_is_compiled_through_and_through(scenario: str) -> None:
+    """Calls of interpreted functions a tick, counted: a module of the hot path that slips back makes them many more."""
+    environment = {**os.environ, "HILSAT_BUILD": "compiled"}
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", COUNT, scenario],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        env=environment,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert float(done.stdout.split()[0]) < 6.0, done.stdout
