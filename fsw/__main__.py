@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bus.clock import SystemClock, claim_realtime
+from bus.icd.heartbeat import FAILED, STOPPED
 from bus.process import MEETING_PATIENCE_S, Progress, last_word, run_process
 from bus.run import RunConfig
 from bus.settings import build_file
@@ -20,7 +21,6 @@ from fsw.flight import Flight
 from fsw.guidance.timeline import make_command
 from fsw.handshake import meet_plant
 from fsw.node import FswNode
-from fsw.outputs import STATE_FAILED, STATE_STOPPED
 from fsw.pacing import LockStep, RealTime
 from fsw.telemetry import SOURCE
 
@@ -53,7 +53,7 @@ def _fly(config: FswFile, telemetry_fd: int | None, progress_fd: int | None) -> 
     transport = open_transport(run.bus.address, node="fsw", bitrate_bps=run.bus.bitrate_bps)
     with last_word(
         "fsw", transport, link, Progress(progress_fd),
-        lambda failed: flight.outputs.heartbeat(STATE_FAILED if failed else STATE_STOPPED),
+        lambda failed: flight.outputs.heartbeat(FAILED if failed else STOPPED),
         lambda: flight.executive.cycles * run.tick_ns,
     ):  # fmt: skip
         meet_plant(transport, flight.outputs, run.run_hash, MEETING_PATIENCE_S)

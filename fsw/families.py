@@ -7,14 +7,13 @@ family's `__init__.py`. It is deterministic: no clock, no random numbers, no inp
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import Any, Final, NamedTuple
 
 from mypy_extensions import mypyc_attr
 
 from bus.units import Vec3, Vec4
-from fsw.records import Allocation, Detection, Estimate, PointingError, Sensors, Target, WheelHealth, WheelReading
-
-Wheels = tuple[WheelReading, WheelReading, WheelReading, WheelReading]
+from fsw.records import Allocation, Detection, Estimate, FourReadings, PointingError, Sensors, Target, WheelHealth
 
 
 class NoInternals(NamedTuple):
@@ -25,7 +24,7 @@ NO_INTERNALS: Final = NoInternals()
 
 
 @mypyc_attr(allow_interpreted_subclasses=True)
-class Algorithm:
+class Algorithm(ABC):
     """What all families have in common."""
 
     __slots__ = ()
@@ -35,6 +34,7 @@ class Algorithm:
         """A named tuple of numbers and tuples of numbers, fixed in shape, for telemetry."""
         return NO_INTERNALS
 
+    @abstractmethod
     def reset(self) -> None:
         """Back to where it was when it was made."""
 
@@ -45,9 +45,9 @@ class Estimator(Algorithm):
 
     __slots__ = ()
 
+    @abstractmethod
     def step(self, sensors: Sensors) -> Estimate:
         """Return attitude and rate at this tick."""
-        raise NotImplementedError
 
 
 @mypyc_attr(allow_interpreted_subclasses=True)
@@ -56,9 +56,9 @@ class Detector(Algorithm):
 
     __slots__ = ()
 
+    @abstractmethod
     def step(self, sensors: Sensors, estimate: Estimate, tau_rw_cmd_nm: Vec4) -> Detection:
         """tau_rw_cmd_nm: wheel torques commanded over the tick that ends now (as sent) [N m]."""
-        raise NotImplementedError
 
 
 @mypyc_attr(allow_interpreted_subclasses=True)
@@ -67,6 +67,7 @@ class Observer(Algorithm):
 
     __slots__ = ()
 
+    @abstractmethod
     def step(self, dt_s: float, omega_bi_b_rad_s: Vec3, tau_cmd_b_nm: Vec3, h_rw_b_nms: Vec3) -> Vec3:
         """Advance by dt_s; return the lumped fault torque on the body [N m].
 
@@ -74,11 +75,10 @@ class Observer(Algorithm):
         tau_cmd_b_nm : torque commanded (as sent) over the interval that ends now [N m]
         h_rw_b_nms   : total wheel momentum in body axes [N m s]; zeros for the papers' plant
         """
-        raise NotImplementedError
 
+    @abstractmethod
     def shift_rate(self, step_b_rad_s: Vec3) -> None:
         """Move the internal rate state by a known jump of the rate source (bumpless transfer)."""
-        raise NotImplementedError
 
 
 @mypyc_attr(allow_interpreted_subclasses=True)
@@ -87,24 +87,26 @@ class WheelHealthMonitor(Algorithm):
 
     __slots__ = ()
 
-    def step(self, dt_s: float, wheels: Wheels, tau_rw_cmd_nm: Vec4, tau_fault_hat_b_nm: Vec3 | None) -> WheelHealth:
+    @abstractmethod
+    def step(
+        self, dt_s: float, wheels: FourReadings, tau_rw_cmd_nm: Vec4, tau_fault_hat_b_nm: Vec3 | None
+    ) -> WheelHealth:
         """Advance by dt_s; return what is thought of the wheels now.
 
         tau_rw_cmd_nm      : wheel torques commanded (as sent) over the interval that ends now [N m]
         tau_fault_hat_b_nm : the observer's fault torque for that interval [N m]; None while no observer runs
         """
-        raise NotImplementedError
 
 
 @mypyc_attr(allow_interpreted_subclasses=True)
-class Guide:
+class Guide(ABC):
     """A course of the target over time."""
 
     __slots__ = ()
 
+    @abstractmethod
     def point(self, t_s: float) -> Target:
         """Return the target at the time t_s [s]."""
-        raise NotImplementedError
 
 
 @mypyc_attr(allow_interpreted_subclasses=True)
@@ -113,12 +115,12 @@ class Controller(Algorithm):
 
     __slots__ = ()
 
+    @abstractmethod
     def step(self, dt_s: float, error: PointingError, tau_fault_hat_b_nm: Vec3, health: WheelHealth) -> Vec3:
         """Advance by dt_s; return the torque that is to act on the body, body axes [N m].
 
         tau_fault_hat_b_nm : the observer's fault torque less what `health` explains, which the law makes up for [N m]
         """
-        raise NotImplementedError
 
 
 @mypyc_attr(allow_interpreted_subclasses=True)
@@ -127,6 +129,6 @@ class Allocator(Algorithm):
 
     __slots__ = ()
 
+    @abstractmethod
     def allocate(self, tau_cmd_b_nm: Vec3, health: WheelHealth) -> Allocation:
         """Return the wheels' share of a body torque [N m]; see each allocator for what is kept on saturation."""
-        raise NotImplementedError

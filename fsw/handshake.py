@@ -14,10 +14,10 @@ import time
 from typing import Final
 
 from bus.errors import PeerLostError, UsageError
-from bus.icd.heartbeat import find_heartbeats
+from bus.icd.heartbeat import BOOT, OPERATIONAL, STOPPED, find_heartbeats
 from bus.wire.transport import Transport
 from fsw.inputs import HEARTBEAT_PLANT_ID
-from fsw.outputs import STATE_BOOT, STATE_OPERATIONAL, STATE_STOPPED, Outputs
+from fsw.outputs import Outputs
 
 CALL_EVERY_S: Final = 0.05
 
@@ -28,7 +28,7 @@ def plant_stopped(batch: bytes, run_hash: int) -> bool:
     run_hash : of this run; another bench's plant does not count
     """
     states = [state for state, its in find_heartbeats(batch, HEARTBEAT_PLANT_ID) if its == run_hash]
-    return bool(states) and states[-1] == STATE_STOPPED
+    return bool(states) and states[-1] == STOPPED
 
 
 def meet_plant(transport: Transport, outputs: Outputs, run_hash: int, patience_s: float) -> int:
@@ -41,12 +41,12 @@ def meet_plant(transport: Transport, outputs: Outputs, run_hash: int, patience_s
     foreign = []
     while (now_s := time.monotonic()) < until:
         if now_s >= call_s:
-            transport.send(outputs.heartbeat(STATE_BOOT))
+            transport.send(outputs.heartbeat(BOOT))
             call_s = now_s + CALL_EVERY_S
         heard = [its for _, its in find_heartbeats(transport.recv(call_s - now_s), HEARTBEAT_PLANT_ID)]
         foreign += [its for its in heard if its != run_hash]
         if run_hash in heard:
-            transport.send(outputs.heartbeat(STATE_OPERATIONAL))
+            transport.send(outputs.heartbeat(OPERATIONAL))
             outputs.reset()  # the run's own count starts here
             return len(foreign)
     if foreign:

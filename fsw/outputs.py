@@ -2,17 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Final
-
 from bus.icd.batches import encode_CYCLE_DONE, encode_rw_cmds
 from bus.icd.codec import encode_HEARTBEAT_FSW
+from bus.icd.e2e import COUNTER_MODULUS
+from bus.icd.heartbeat import OPERATIONAL
 from fsw.records import WheelCommands
-
-COUNTER_PERIOD: Final = 15  # alive counters run 0..14
-STATE_BOOT: Final = 0
-STATE_STOPPED: Final = 4
-STATE_OPERATIONAL: Final = 5
-STATE_FAILED: Final = 128
 
 
 class Outputs:
@@ -31,7 +25,7 @@ class Outputs:
     def heartbeat(self, state: int) -> bytes:
         """One heartbeat frame."""
         counter = self._heartbeat_counter
-        self._heartbeat_counter = (counter + 1) % COUNTER_PERIOD
+        self._heartbeat_counter = (counter + 1) % COUNTER_MODULUS
         return encode_HEARTBEAT_FSW(counter, 0, state, self._run_hash)
 
     def commands(self, tick: int, sync_cnt: int, wheels: WheelCommands, mode: int, slips: int) -> bytes:
@@ -40,8 +34,8 @@ class Outputs:
         sync_cnt : tick counter of the sensor data the commands are based on, modulo 256
         """
         counter = self._cycle_counter
-        self._cycle_counter = (counter + 1) % COUNTER_PERIOD
+        self._cycle_counter = (counter + 1) % COUNTER_MODULUS
         batch = encode_rw_cmds(counter, wheels.modes, wheels.tau_rw_nm, sync_cnt)
         if tick % self._heartbeat_ticks == 0:
-            batch += self.heartbeat(STATE_OPERATIONAL)
+            batch += self.heartbeat(OPERATIONAL)
         return batch + encode_CYCLE_DONE(counter, mode, tick, slips)  # more slips than fit are sent as 0xFFFF

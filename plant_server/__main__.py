@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bus.clock import MonotonicClock, SystemClock, claim_realtime
+from bus.icd.heartbeat import FAILED, STOPPED
 from bus.process import MEETING_PATIENCE_S, Progress, last_word, run_process
 from bus.run import RunConfig
 from bus.settings import build_file
 from bus.telemetry.link import TelemetryLink
 from bus.wire.address import open_transport
 from bus.wire.transport import Transport
-from plant_server.channel import STATE_FAILED, STATE_STOPPED
 from plant_server.config import PlantConfig
 from plant_server.faults import Fault
 from plant_server.handshake import meet_fsw
@@ -53,7 +53,7 @@ def _serve(config: PlantFile, telemetry_fd: int | None, progress: Progress) -> N
     transport = open_transport(run.bus.address, node="plant", host=True, bitrate_bps=run.bus.bitrate_bps)
     with last_word(
         "plant", transport, link, progress,
-        lambda failed: node.channel.heartbeat(STATE_FAILED if failed else STATE_STOPPED),
+        lambda failed: node.channel.heartbeat(FAILED if failed else STOPPED),
         lambda: node.tick_number * run.tick_ns,
     ):  # fmt: skip
         progress.say(state="waiting", bus=transport.address)

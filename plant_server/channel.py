@@ -29,25 +29,19 @@ from bus.icd.codec import (
     encode_HEARTBEAT_PLANT,
     encode_TIME,
 )
-from bus.icd.e2e import JUMP, REPEATED, Link, LinkGroup, part_group
-from bus.icd.heartbeat import count_heartbeat_ticks
+from bus.icd.e2e import COUNTER_MODULUS, JUMP, REPEATED, Link, LinkGroup, part_group
+from bus.icd.heartbeat import OPERATIONAL, count_heartbeat_ticks
 from bus.linear import ZERO4
 from bus.units import Vec4
 from bus.wire.frames import FRAME, FRAME_SIZE
 from plant_server.plant import FaultEvent, Plant, Snapshot
 from plant_server.star_tracker import StarFrame
 
-COUNTER_PERIOD: Final = 15
 COMMAND_IDS = {0x110: 0, 0x111: 1, 0x112: 2, 0x113: 3}
 CYCLE_DONE_ID: Final = 0x081
 HEARTBEAT_FSW_ID: Final = 0x702
 GROUP_IDS = (*COMMAND_IDS, CYCLE_DONE_ID)  # the frames of every tick, in the order in which they come
 GROUP_SIZE: Final = len(GROUP_IDS)
-STATE_STOPPED: Final = 4
-STATE_OPERATIONAL: Final = 5
-STATE_PRE_OPERATIONAL: Final = 127
-STATE_FAILED: Final = 128
-STAR_NOT_VALID: Final = 15
 Torques = tuple[float | None, float | None, float | None, float | None]  # None: no command
 NO_TORQUE: Torques = ZERO4
 NEVER: Final = -(10**9)  # tick of a command that has not come yet
@@ -108,14 +102,14 @@ class Channel:
     def heartbeat(self, state: int) -> bytes:
         """One heartbeat frame of the plant."""
         counter = self._slow_counter
-        self._slow_counter = (counter + 1) % COUNTER_PERIOD
+        self._slow_counter = (counter + 1) % COUNTER_MODULUS
         return encode_HEARTBEAT_PLANT(counter, 0, state, self._run_hash)
 
     def announce(self) -> bytes:
         """Sample every unit at this tick; return its frames with SYNC last."""
         tick = self.tick
         sync_cnt = tick & 0xFF
-        counter = tick % COUNTER_PERIOD
+        counter = tick % COUNTER_MODULUS
         samples = self.plant.sample()
         self.snapshot = self.plant.snapshot()
         self.events = samples.events
@@ -134,7 +128,7 @@ class Channel:
 
     def _star_frames(self, star: StarFrame) -> bytes:
         counter = self._star_counter
-        self._star_counter = (counter + 1) % COUNTER_PERIOD
+        self._star_counter = (counter + 1) % COUNTER_MODULUS
         q0, q1, q2, q3 = star.q_ib
         age_ticks = star.age_ticks
         return encode_STR_QA(counter, age_ticks, q0, q1) + encode_STR_QB(counter, age_ticks, q2, q3)
@@ -142,7 +136,7 @@ class Channel:
     def _slow_frames(self, tick: int) -> bytes:
         seconds, fraction = divmod(tick * self._tick_s, 1.0)
         counter = self._slow_counter
-        return encode_TIME(counter, 0, int(seconds), fraction) + self.heartbeat(STATE_OPERATIONAL)
+        return encode_TIME(counter, 0, int(seconds), fraction) + self.heartbeat(OPERATIONAL)
 
     def accept(self, batch: bytes) -> bool:
         """Take the frames that came in. True once CYCLE_DONE of the present tick is among them.

@@ -6,10 +6,9 @@ first of two imports, which therefore is the native one. Where not compiled, nei
 
 from __future__ import annotations
 
-from types import FunctionType
-
 from bus.icd import codec
 from bus.icd.codec import Decoder
+from bus.native import COMPILED
 
 __all__ = [
     "DECODERS",
@@ -27,12 +26,7 @@ __all__ = [
 ]
 
 
-def is_compiled() -> bool:
-    """Whether this module is compiled: its functions are none of Python's then."""
-    return not isinstance(is_compiled, FunctionType)
-
-
-if is_compiled():
+if COMPILED:
     from bus.icd.native_codec import (
         decode_commands,
         decode_sensors,

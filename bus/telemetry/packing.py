@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
-from types import FunctionType
 from typing import Any, Final
 
 from bus.errors import ConfigError
+from bus.native import COMPILED
 from bus.telemetry.cdr import ENCAPSULATION, STAMP_SIZE, Topic
 
 MESSAGE: Final = 0x05  # MCAP opcode
@@ -20,8 +20,8 @@ INPUT: Final = struct.Struct("<III")  # slips, flags, bytes of the commands' tex
 INPUT_ALONE: Final = struct.Struct(
     f"<BQH{HEAD.size}sIIIII"
 )  # a whole record without commands: their text is one zero byte
-NATIVE_UNTIL_NS: Final = 1_000_000_000 << 31
 INPUT_FIXED: Final = 2 + HEAD.size + 20
+NATIVE_UNTIL_NS: Final = 1_000_000_000 << 31  # beyond that the seconds do not fit into a signed word
 
 
 class TickPacker:
@@ -99,6 +99,3 @@ def pack_input(channel: int, head: bytes, slips: int, flags: int, commands: str,
     text += bytes(-len(text) % 4)
     body = INPUT.pack(slips, flags, len(commands.encode()) + 1) + text + struct.pack("<I", len(frames)) + frames
     return PREFIX.pack(MESSAGE, 2 + HEAD.size + len(body), channel) + head + body
-
-
-COMPILED: Final = not isinstance(stamp, FunctionType)

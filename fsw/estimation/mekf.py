@@ -46,7 +46,7 @@ class MekfInternals(NamedTuple):
 
 
 class Mekf(Estimator):
-    """Attitude, rate and gyro bias with their covariance. Implements `fsw.families.Estimator`."""
+    """Attitude, rate and gyro bias with their covariance."""
 
     def __init__(self, config: MekfConfig, vehicle: Vehicle, tick_s: float) -> None:
         """tick_s: period between calls of `step` [s]. The filter is kinematic: nothing of the vehicle is used."""

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from bus.units import Vec3, Vec4
-from fsw.families import WheelHealthMonitor, Wheels
-from fsw.records import HEALTHY, WheelHealth
+from fsw.families import WheelHealthMonitor
+from fsw.records import HEALTHY, FourReadings, WheelHealth
 from fsw.vehicle import Vehicle
 from fsw.wheel_health.settings import NoWheelHealthConfig
 
@@ -20,6 +20,8 @@ class NoWheelHealth(WheelHealthMonitor):
     def reset(self) -> None:
         """There is no state."""
 
-    def step(self, dt_s: float, wheels: Wheels, tau_rw_cmd_nm: Vec4, tau_fault_hat_b_nm: Vec3 | None) -> WheelHealth:
+    def step(
+        self, dt_s: float, wheels: FourReadings, tau_rw_cmd_nm: Vec4, tau_fault_hat_b_nm: Vec3 | None
+    ) -> WheelHealth:
         """Return full health."""
         return HEALTHY

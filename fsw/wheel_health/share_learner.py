@@ -7,8 +7,8 @@ from typing import Final
 
 from bus.linear import ZERO4
 from bus.units import Vec3, Vec4
-from fsw.families import WheelHealthMonitor, Wheels
-from fsw.records import ALL_WHEELS, NO_WHEEL, WheelHealth
+from fsw.families import WheelHealthMonitor
+from fsw.records import ALL_WHEELS, NO_WHEEL, FourReadings, WheelHealth
 from fsw.vehicle import Vehicle
 from fsw.wheel_health.settings import ShareLearnerConfig
 
@@ -37,7 +37,9 @@ class ShareLearner(WheelHealthMonitor):
         self._shares = HEALTHY_SHARES
         self._tau_seen = ZERO4
 
-    def step(self, dt_s: float, wheels: Wheels, tau_rw_cmd_nm: Vec4, tau_fault_hat_b_nm: Vec3 | None) -> WheelHealth:
+    def step(
+        self, dt_s: float, wheels: FourReadings, tau_rw_cmd_nm: Vec4, tau_fault_hat_b_nm: Vec3 | None
+    ) -> WheelHealth:
         """Return the shares, and the part of the fault torque that they explain; without one nothing is learnt."""
         if tau_fault_hat_b_nm is None:
             self._tau_seen = tau_rw_cmd_nm

@@ -6,8 +6,8 @@ from typing import Final, NamedTuple
 
 from bus.linear import ZERO3, ZERO4
 from bus.units import Vec3, Vec4
-from fsw.families import WheelHealthMonitor, Wheels
-from fsw.records import ALL_WHEELS, Flags4, WheelHealth
+from fsw.families import WheelHealthMonitor
+from fsw.records import ALL_WHEELS, Flags4, FourReadings, WheelHealth
 from fsw.vehicle import Vehicle
 from fsw.wheel_health.settings import TorqueMonitorConfig
 
@@ -43,7 +43,9 @@ class TorqueMonitor(WheelHealthMonitor):
         """Residual of each wheel."""
         return TorqueMonitorInternals(self._residual)
 
-    def step(self, dt_s: float, wheels: Wheels, tau_rw_cmd_nm: Vec4, tau_fault_hat_b_nm: Vec3 | None) -> WheelHealth:
+    def step(
+        self, dt_s: float, wheels: FourReadings, tau_rw_cmd_nm: Vec4, tau_fault_hat_b_nm: Vec3 | None
+    ) -> WheelHealth:
         """Return alarms and, with `reaction: isolate`, which wheels are not to be used. The fault torque is not needed.
 
         A wheel whose speed is not known, now or at the last call, keeps its residual.

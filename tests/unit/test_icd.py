@@ -11,8 +11,8 @@ from typing import Any
 import cantools
 import pytest
 
-from bus.icd.batches import is_compiled
 from bus.icd.messages import IDS, MESSAGES, dbc_path
+from bus.native import COMPILED
 from tools.design.generate_codec import generate_codec, generate_table
 from tools.design.generate_icd_page import generate_page
 from tools.design.native_codec import generate_native_codec
@@ -188,7 +188,7 @@ def test_nothing_is_parsed_at_run_time() -> None:
     """
     modules = "bus.icd.batches, bus.icd.messages, bus.icd.codec, bus.icd.e2e, bus.icd.load"
     unwanted = {"cantools", "textparser"}
-    if not is_compiled():
+    if not COMPILED:
         unwanted |= {"bus.icd.native_codec", "librt", "mypy_extensions"}
     code = f"import sys, {modules}; print({unwanted} & {{*sys.modules}})"
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)

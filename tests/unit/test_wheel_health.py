@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from bus.units import Vec3, Vec4
-from fsw.families import Wheels
-from fsw.records import ALL_WHEELS, NO_WHEEL, WheelHealth, WheelReading
+from fsw.records import ALL_WHEELS, NO_WHEEL, FourReadings, WheelHealth, WheelReading
 from fsw.settings import ModelConfig
 from fsw.vehicle import Vehicle
 from fsw.wheel_health.settings import ShareLearnerConfig, TorqueMonitorConfig
@@ -23,7 +22,7 @@ COMMAND = np.array([0.05, -0.05, 0.03, 0.02])
 ZERO: Vec3 = (0.0, 0.0, 0.0)
 
 
-def read_wheels(h: np.ndarray, valid: tuple[bool, ...] = (True,) * 4) -> Wheels:
+def read_wheels(h: np.ndarray, valid: tuple[bool, ...] = (True,) * 4) -> FourReadings:
     a, b, c, d = (WheelReading(valid=ok, h_nms=x) for x, ok in zip(h.tolist(), valid, strict=True))
     return (a, b, c, d)
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus.errors import RecordError
-from bus.telemetry.packing import COMPILED
+from bus.native import COMPILED
 
 Ints = NDArray[np.int64]
 Words = NDArray[np.uint64]

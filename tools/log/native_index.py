@@ -7,8 +7,10 @@ from typing import Final
 from librt.strings import BytesWriter, read_i16_le, read_i64_le, write_i64_le
 from mypy_extensions import i64
 
-MESSAGE: Final = 0x05
-SHORTEST: Final = 31  # bytes of a message record without data
+from bus.telemetry.packing import MESSAGE, MESSAGE_FIXED
+
+RECORD_HEAD: Final = 9  # opcode and length
+SHORTEST: Final = RECORD_HEAD + MESSAGE_FIXED  # bytes of a message record without data
 
 
 def find_messages(data: bytes) -> tuple[dict[int, bytes], int, int] | None:
@@ -24,10 +26,10 @@ def find_messages(data: bytes) -> tuple[dict[int, bytes], int, int] | None:
     while at < end:
         if end - at < SHORTEST or data[at] != MESSAGE:
             return None
-        size = read_i64_le(data, at + 1) + 9
+        size = read_i64_le(data, at + 1) + RECORD_HEAD
         if size < SHORTEST or size > end - at:
             return None
-        channel = int(i64(read_i16_le(data, at + 9)) & 0xFFFF)
+        channel = int(i64(read_i16_le(data, at + RECORD_HEAD)) & 0xFFFF)
         t_ns = read_i64_le(data, at + 15)
         writer = found.get(channel)
         if writer is None:
