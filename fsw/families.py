@@ -7,7 +7,6 @@ family's `__init__.py`. It is deterministic: no clock, no random numbers, no inp
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from typing import Any, Final, NamedTuple
 
 from mypy_extensions import mypyc_attr
@@ -24,7 +23,7 @@ NO_INTERNALS: Final = NoInternals()
 
 
 @mypyc_attr(allow_interpreted_subclasses=True)
-class Algorithm(ABC):
+class Algorithm:
     """What all families have in common."""
 
     __slots__ = ()
@@ -34,9 +33,9 @@ class Algorithm(ABC):
         """A named tuple of numbers and tuples of numbers, fixed in shape, for telemetry."""
         return NO_INTERNALS
 
-    @abstractmethod
     def reset(self) -> None:
         """Back to where it was when it was made."""
+        raise NotImplementedError
 
 
 @mypyc_attr(allow_interpreted_subclasses=True)
@@ -45,9 +44,9 @@ class Estimator(Algorithm):
 
     __slots__ = ()
 
-    @abstractmethod
     def step(self, sensors: Sensors) -> Estimate:
         """Return attitude and rate at this tick."""
+        raise NotImplementedError
 
 
 @mypyc_attr(allow_interpreted_subclasses=True)
@@ -56,9 +55,9 @@ class Detector(Algorithm):
 
     __slots__ = ()
 
-    @abstractmethod
     def step(self, sensors: Sensors, estimate: Estimate, tau_rw_cmd_nm: Vec4) -> Detection:
         """tau_rw_cmd_nm: wheel torques commanded over the tick that ends now (as sent) [N m]."""
+        raise NotImplementedError
 
 
 @mypyc_attr(allow_interpreted_subclasses=True)
@@ -67,7 +66,6 @@ class Observer(Algorithm):
 
     __slots__ = ()
 
-    @abstractmethod
     def step(self, dt_s: float, omega_bi_b_rad_s: Vec3, tau_cmd_b_nm: Vec3, h_rw_b_nms: Vec3) -> Vec3:
         """Advance by dt_s; return the lumped fault torque on the body [N m].
 
@@ -75,10 +73,11 @@ class Observer(Algorithm):
         tau_cmd_b_nm : torque commanded (as sent) over the interval that ends now [N m]
         h_rw_b_nms   : total wheel momentum in body axes [N m s]; zeros for the papers' plant
         """
+        raise NotImplementedError
 
-    @abstractmethod
     def shift_rate(self, step_b_rad_s: Vec3) -> None:
         """Move the internal rate state by a known jump of the rate source (bumpless transfer)."""
+        raise NotImplementedError
 
 
 @mypyc_attr(allow_interpreted_subclasses=True)
@@ -87,7 +86,6 @@ class WheelHealthMonitor(Algorithm):
 
     __slots__ = ()
 
-    @abstractmethod
     def step(
         self, dt_s: float, wheels: FourReadings, tau_rw_cmd_nm: Vec4, tau_fault_hat_b_nm: Vec3 | None
     ) -> WheelHealth:
@@ -96,17 +94,18 @@ class WheelHealthMonitor(Algorithm):
         tau_rw_cmd_nm      : wheel torques commanded (as sent) over the interval that ends now [N m]
         tau_fault_hat_b_nm : the observer's fault torque for that interval [N m]; None while no observer runs
         """
+        raise NotImplementedError
 
 
 @mypyc_attr(allow_interpreted_subclasses=True)
-class Guide(ABC):
+class Guide:
     """A course of the target over time."""
 
     __slots__ = ()
 
-    @abstractmethod
     def point(self, t_s: float) -> Target:
         """Return the target at the time t_s [s]."""
+        raise NotImplementedError
 
 
 @mypyc_attr(allow_interpreted_subclasses=True)
@@ -115,12 +114,12 @@ class Controller(Algorithm):
 
     __slots__ = ()
 
-    @abstractmethod
     def step(self, dt_s: float, error: PointingError, tau_fault_hat_b_nm: Vec3, health: WheelHealth) -> Vec3:
         """Advance by dt_s; return the torque that is to act on the body, body axes [N m].
 
         tau_fault_hat_b_nm : the observer's fault torque less what `health` explains, which the law makes up for [N m]
         """
+        raise NotImplementedError
 
 
 @mypyc_attr(allow_interpreted_subclasses=True)
@@ -129,6 +128,6 @@ class Allocator(Algorithm):
 
     __slots__ = ()
 
-    @abstractmethod
     def allocate(self, tau_cmd_b_nm: Vec3, health: WheelHealth) -> Allocation:
         """Return the wheels' share of a body torque [N m]; see each allocator for what is kept on saturation."""
+        raise NotImplementedError

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from typing import Final
 
 import numpy as np
@@ -16,14 +15,14 @@ SIGMA_PER_INSTABILITY: Final = 0.664 / 0.617  # Gauss-Markov sigma over bias ins
 Errors = tuple[float, float, float]
 
 
-class AxisErrors(ABC):
+class AxisErrors:
     """The errors of one axis, sample by sample."""
 
     __slots__ = ()
 
-    @abstractmethod
     def draw(self) -> Errors:
         """Return error, bias and white noise of the next sample [rad/s]; the error is the sum of the others."""
+        raise NotImplementedError
 
 
 class TurnOnBias(AxisErrors):

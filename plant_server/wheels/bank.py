@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
 from mypy_extensions import mypyc_attr
@@ -14,7 +13,7 @@ Flags4 = tuple[bool, bool, bool, bool]
 
 
 @mypyc_attr(allow_interpreted_subclasses=True)
-class WheelBank(ABC):
+class WheelBank:
     """Four wheels: it owns the state of the rotors, and gives mean torques on the body over each integration step.
 
     One step: `receive` (new commands, once a tick), `drive`, then, when the body has moved, `advance`.
@@ -32,26 +31,26 @@ class WheelBank(ABC):
     status: Status4  # of each wheel's frame: 0 ok, 2 no command, 3 speed limit
     silent: Flags4  # which send no telemetry
 
-    @abstractmethod
     def receive(self, commands_nm: Sequence[float | None]) -> None:
         """Take the torque commands of this tick [N m]; None: the wheel has none, so its motor gives no torque."""
+        raise NotImplementedError
 
-    @abstractmethod
     def drive(self, step: int) -> None:
         """Set the torques over the integration step `step`, from the rotors' state at its start."""
+        raise NotImplementedError
 
-    @abstractmethod
     def advance(self, omega_bi_b_rad_s: Vec3, h_b_nms: Vec3) -> None:
         """Move the rotors to the end of the step: body rate there, and the sum of their momentum [N m s], body axes."""
+        raise NotImplementedError
 
-    @abstractmethod
     def sample_speed(self, step: int) -> Vec4:
         """Return the tachometer readings [rad/s] at the start of `step`; brings `silent` up to date."""
+        raise NotImplementedError
 
-    @abstractmethod
     def add_rotors(self, inertia_kgm2: Mat3) -> Mat3:
         """Return the inertia with the rotors' own about their spin axes added: that of the body with wheels locked."""
+        raise NotImplementedError
 
-    @abstractmethod
     def look_again(self) -> None:
         """Note that the faults have changed."""
+        raise NotImplementedError

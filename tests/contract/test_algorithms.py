@@ -18,7 +18,6 @@ from hypothesis import strategies as st
 from bus.record import Record
 from bus.units import Vec3, Vec4
 from fsw import allocators, controllers, estimation, gyro_fdi, observers, wheel_health
-from fsw.families import Allocator, Controller, Detector, Estimator, Observer, WheelHealthMonitor
 from fsw.records import HEALTHY, Estimate, PointingError, Sensors, WheelHealth, WheelReading
 from fsw.settings import ModelConfig
 from fsw.vehicle import Vehicle
@@ -366,11 +365,3 @@ def test_pseudo_inverse_gives_the_torque_where_it_can(torque: Vec3, weak: Vec4, 
     a, b, c, d = (e * x for e, x in zip(share, found.tau_rw_nm, strict=True))
     skew = d / math.sqrt(3.0)
     assert (a + skew, b + skew, c + skew) == pytest.approx(torque, abs=1e-12)
-
-
-@pytest.mark.parametrize("base", [Allocator, Controller, Detector, Estimator, Observer, WheelHealthMonitor])
-def test_an_algorithm_that_lacks_something_is_not_made(base: type) -> None:
-    """Refused as it is made, and not on the first cycle that would call what is not there."""
-    half = type("Half", (base,), {"reset": lambda self: None})
-    with pytest.raises(TypeError, match="abstract"):
-        half()
