@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Final
 
-from librt.strings import BytesWriter, write_f64_le, write_i32_le, write_i64_le
-from mypy_extensions import i32, i64
+from librt.strings import BytesWriter, write_f64_le, write_i16_le, write_i32_le, write_i64_le
+from mypy_extensions import i16, i32, i64
+
+from bus.units import Vec3, Vec4
+
+MESSAGE: Final = 0x05  # MCAP opcode
 
 
 def write_floats(cuts: list[tuple[bytes, int, int]], head: bytes, values: Sequence[Any]) -> bytes:
@@ -39,3 +43,31 @@ def write_stamp(seq: int, t_ns: int, encapsulation: bytes) -> bytes:
     write_i32_le(writer, i32(t // 1_000_000_000))
     write_i32_le(writer, i32(t % 1_000_000_000))
     return writer.getvalue()
+
+
+def write_frames(writer: BytesWriter, channel: int, head: bytes, frames: bytes) -> None:
+    """Write what `bus.telemetry.packing.pack_frames_stamped` returns."""
+    size: i64 = len(frames)
+    writer.append(MESSAGE)
+    write_i64_le(writer, 2 + len(head) + 4 + size)
+    write_i16_le(writer, i16(channel))
+    writer.write(head)
+    write_i32_le(writer, i32(size))
+    writer.write(frames)
+
+
+def write3(writer: BytesWriter, v: Vec3) -> None:
+    """Write three doubles."""
+    x, y, z = v
+    write_f64_le(writer, x)
+    write_f64_le(writer, y)
+    write_f64_le(writer, z)
+
+
+def write4(writer: BytesWriter, v: Vec4) -> None:
+    """Write four doubles."""
+    a, b, c, d = v
+    write_f64_le(writer, a)
+    write_f64_le(writer, b)
+    write_f64_le(writer, c)
+    write_f64_le(writer, d)

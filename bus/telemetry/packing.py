@@ -10,6 +10,9 @@ from bus.errors import ConfigError
 from bus.native import COMPILED
 from bus.telemetry.cdr import ENCAPSULATION, STAMP_SIZE, Topic
 
+if COMPILED:  # never where librt may be missing
+    from bus.telemetry.native_packing import write_floats, write_stamp
+
 MESSAGE: Final = 0x05  # MCAP opcode
 PREFIX: Final = struct.Struct("<BQH")  # opcode, length of what follows, channel
 HEAD: Final = struct.Struct("<IQQ4siI")  # sequence, log_time, publish_time, CDR encapsulation, sec, nanosec
@@ -50,11 +53,14 @@ class TickPacker:
             self._cuts.append((PREFIX.pack(MESSAGE, MESSAGE_FIXED + topic.body_size, channel), at, end))
             at = end
 
+    @property
+    def prefixes(self) -> tuple[bytes, ...]:
+        """What the record of each topic begins with, ahead of the head."""
+        return tuple(prefix for prefix, _, _ in self._cuts)
+
     def pack_stamped(self, head: bytes, values: Sequence[Any]) -> bytes:
         """The records of a tick: all values are packed by one call, then cut and laid behind the heads."""
         if self._is_native:
-            from bus.telemetry.native_packing import write_floats  # never where librt may be missing
-
             if len(values) != self.flat_size:
                 raise struct.error(f"{self.flat_size} values are to be packed, not {len(values)}")
             return write_floats(self._cuts, head, values)
@@ -72,8 +78,6 @@ class TickPacker:
 def stamp(seq: int, t_ns: int) -> bytes:
     """What all records of a tick have behind their prefix: sequence, log and publish time, and the stamp in CDR."""
     if COMPILED and 0 <= t_ns < NATIVE_UNTIL_NS and 0 <= seq < 1 << 31:
-        from bus.telemetry.native_packing import write_stamp
-
         return write_stamp(seq, t_ns, ENCAPSULATION)
     sec = t_ns // 1_000_000_000
     return HEAD.pack(seq, t_ns, t_ns, ENCAPSULATION, sec, t_ns - sec * 1_000_000_000)

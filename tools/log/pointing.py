@@ -19,6 +19,7 @@ from tools.log.message_index import DATA_AT, Pairs
 from tools.log.topics import parse_layout
 
 TRUTH, FLIGHT = "/truth/attitude", "/fsw/attitude"
+FOUR: Final = 8 * np.arange(4)  # where four numbers in a row begin
 BODY_AT: Final = DATA_AT + 4  # of a record: behind its head and the CDR encapsulation
 
 
@@ -52,9 +53,9 @@ class PointingError:
         known = which >= 0
         errors[known] = angles_between(targets[which[known]], attitudes[known]) / DEG
         self._target = targets[-1:].copy()
-        filled = np.frombuffer(data, np.uint8).copy()
-        filled[(places + error_at)[:, None] + np.arange(8)] = errors.view(np.uint8).reshape(-1, 8)
-        return filled.tobytes()
+        filled = bytearray(data)
+        _view_doubles(filled)[places + error_at] = errors
+        return bytes(filled)
 
     def _find_targets(
         self, pairs: dict[int, Pairs], data: bytes, times: NDArray[np.int64]
@@ -92,5 +93,10 @@ def _locate_fields(schema: str, topic: str) -> Mapping[str, int]:
 
 def _gather(data: bytes, places: NDArray[np.int64]) -> NDArray[np.float64]:
     """Four numbers from each place, shape (n, 4)."""
-    raw = np.frombuffer(data, np.uint8)
-    return np.ascontiguousarray(raw[places[:, None] + np.arange(32)]).view("<f8")
+    found: NDArray[np.float64] = _view_doubles(data)[places[:, None] + FOUR]
+    return found
+
+
+def _view_doubles(data: bytes | bytearray) -> NDArray[np.float64]:
+    """The eight bytes from every byte of `data` on as a number each: an overlapping view, nothing is copied."""
+    return np.ndarray(len(data) - 7, "<f8", data, 0, (1,))

@@ -120,9 +120,8 @@ class Recorder:
         self._realtime = realtime
         self._clock = clock
         self._deadline = clock() + FLUSH_S
-        # Three lists instead of one of tuples: nothing here for the garbage collector to visit.
-        self._ticks: list[int] = []
-        self._origins: list[int] = []  # source of each
+        # Two lists instead of one of tuples: nothing here for the garbage collector to visit.
+        self._keys: list[int] = []  # tick << 8 | source, the order of the file
         self._held: list[bytes] = []
         self._held_bytes = 0
         self._limit_bytes = CHUNK_BYTES
@@ -153,8 +152,7 @@ class Recorder:
         state = self._sources[source]
         state.last_tick = ticks[-1]
         state.last_t_ns = t_ns
-        self._ticks += ticks
-        self._origins += [source] * len(ticks)
+        self._keys += [tick << 8 | source for tick in ticks]
         self._held += records
         self._held_bytes += sum(map(len, records))
         if state.json_waiting:
@@ -184,16 +182,15 @@ class Recorder:
         self._deadline = now + FLUSH_S
         if not self._held:
             return
-        keys = np.array(self._ticks) << 8 | np.array(self._origins)  # the order of the file
+        keys = np.fromiter(self._keys, np.int64, len(self._keys))
         order = np.argsort(keys, kind="stable")  # arrivals of one key keep theirs
-        count = self._count_complete(keys[order], now)
+        keys = keys[order]
+        count = self._count_complete(keys, now)
         if count:
-            places, rest = order[:count].tolist(), order[count:].tolist()
+            held, places = self._held, order.tolist()
             with self._writing():
-                self._write_out([self._held[place] for place in places], [self._ticks[place] for place in places])
-            self._ticks, self._origins, self._held = (
-                [column[place] for place in rest] for column in (self._ticks, self._origins, self._held)
-            )
+                self._write_out([held[place] for place in places[:count]], keys[:count] >> 8)
+            self._keys, self._held = keys[count:].tolist(), [held[place] for place in places[count:]]
             self._held_bytes = sum(map(len, self._held))
         self._limit_bytes = self._held_bytes + CHUNK_BYTES
 
@@ -220,12 +217,12 @@ class Recorder:
                 self._deadline = min(self._deadline, now + PATIENCE_S)
         return int(np.searchsorted(keys, (horizon + 1) << 8))
 
-    def _write_out(self, parts: list[bytes], ticks: list[int]) -> None:
+    def _write_out(self, parts: list[bytes], ticks: NDArray[np.int64]) -> None:
         """Write chunks of about CHUNK_BYTES and of whole ticks, without a small one at the end."""
         ends = np.cumsum(np.fromiter(map(len, parts), np.int64, len(parts)))
         pieces = max(1, int(ends[-1]) // CHUNK_BYTES)
         cuts = np.searchsorted(ends, ends[-1] * np.arange(1, pieces) / pieces) + 1
-        whole = np.searchsorted(ticks, np.array(ticks)[np.minimum(cuts, len(ticks) - 1)])
+        whole = np.searchsorted(ticks, ticks[np.minimum(cuts, len(ticks) - 1)])
         for start, end in itertools.pairwise((0, *whole.tolist(), len(parts))):
             if end > start:
                 self._writer.write_chunk(parts[start:end])
@@ -236,8 +233,7 @@ class Recorder:
             self._declare_json(topic)
             channel = JSON_TOPICS[topic].channel
             record = MESSAGE.pack(5, 22 + len(payload), channel, tick & 0xFFFFFFFF, t_ns, t_ns) + payload
-            self._ticks.append(tick)
-            self._origins.append(source)
+            self._keys.append(tick << 8 | source)
             self._held.append(record)
             self._held_bytes += len(record)
         state.json_waiting.clear()

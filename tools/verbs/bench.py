@@ -13,6 +13,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -78,14 +79,14 @@ def _measure_in_process(seconds: float) -> dict[str, Any]:
     return {name: measure_scenario(name, seconds) for name in SCENARIOS}
 
 
-def measure_scenario(name: str, seconds: float) -> dict[str, Any]:
+def measure_scenario(name: str, seconds: float, rounds: int = ROUNDS) -> dict[str, Any]:
     """The whole loop in this process: frames encoded, checked, decoded, telemetry written to a file."""
     from tools.run.in_process import run_in_process
 
     resolved = _load(name, seconds, "inprocess")
     speeds = []
     size = 0
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         begun: list[float] = []
         with tempfile.TemporaryDirectory(prefix="hilsat-bench-") as directory:
             report = run_in_process(resolved, Path(directory), _note_times(begun))
@@ -106,7 +107,12 @@ def _note_times(times_s: list[float]) -> Callable[[int], None]:
 
 
 def _measure_lockstep(seconds: float) -> dict[str, Any]:
-    return {name: _measure_processes(name, seconds) for name in SCENARIOS}
+    """Beside the floor: what two processes on one processor take to hand a frame over and back, and nothing else."""
+    from tools.measure.bus import measure_round_trip
+
+    floor = measure_round_trip("pair")["p50_us"]
+    results: dict[str, Any] = {name: _measure_processes(name, seconds) for name in SCENARIOS}
+    return results | {"floor": {"bare socket pair, there and back, us, p50": floor}}
 
 
 def _measure_processes(name: str, seconds: float) -> dict[str, Any]:
@@ -219,7 +225,12 @@ def _measure_bus(seconds: float) -> dict[str, Any]:
 def _measure_basilisk(seconds: float) -> dict[str, Any]:
     from tools.measure.basilisk import compare
 
-    return compare(lambda: measure_scenario("zhang2018", seconds))
+    return compare({name: partial(_measure_once, name, seconds) for name in SCENARIOS})
+
+
+def _measure_once(name: str, seconds: float) -> float:
+    speed: float = measure_scenario(name, seconds, rounds=1)["sim-s per cpu-s, best"]
+    return speed
 
 
 MEASUREMENTS: dict[str, Callable[[float], dict[str, Any]]] = {
