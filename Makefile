@@ -7,7 +7,7 @@ SCENARIO ?= zhang2018
 # Most tests start Python again: without byte code kept, each of them would compile everything once more.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: run setup test test-slow test-all test-vcan test-foxglove test-compiled lint coverage coverage-gate compiled plain clean
+.PHONY: run setup test test-slow test-all test-vcan test-foxglove test-compiled test-wheel lint coverage coverage-gate compiled plain clean
 
 run: $(STAMP)
 	$(BIN)/hilsat run $(SCENARIO)
@@ -38,6 +38,15 @@ test-all: test test-slow test-vcan test-foxglove test-compiled
 test-compiled: compiled
 	HILSAT_BUILD=compiled $(BIN)/python -m pytest -n auto -m "not slow and not vcan and not vcan_host and not compiled"
 	$(BIN)/python -m pytest -n auto -m compiled
+
+# A compiled wheel, installed alone, flies.
+test-wheel: $(STAMP)
+	rm -rf build/wheel build/installed
+	HILSAT_COMPILE=1 $(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps -w build/wheel .
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --target build/installed build/wheel/*.whl
+	cd build/installed && PYTHONPATH=. HILSAT_BUILD=compiled $(CURDIR)/$(BIN)/python -P -m tools.cli --version
+	cd build/installed && PYTHONPATH=. HILSAT_BUILD=compiled $(CURDIR)/$(BIN)/python -P -m tools.cli run zhang2018 \
+	  --clock lockstep --no-plot -q --out run
 
 # Real AF_CAN: natively where the kernel has CAN, else in a user-mode Linux guest; fails where neither works.
 test-vcan: $(STAMP)

@@ -18,7 +18,7 @@ from collections.abc import Callable
 from typing import Any
 
 SECONDS = 300.0
-PAIRS = 5
+PAIRS = 9
 
 
 def compare(measures: dict[str, Callable[[], float]]) -> dict[str, Any]:
