@@ -33,6 +33,7 @@ INPUT_TEXT: Final = (
     f"{STAMP_TEXT}\n"
     "uint32 slips  # deadlines missed so far\n"
     "uint32 flags  # 1: safe mode asked for by the executive, 2: groups that are not essential are shed\n"
+    "uint32 crc  # CRC-32 over slips and flags (little endian), the commands' text, the frames\n"
     "string commands\n"
     f"uint8[] frames\n{STAMP_DEFINITION}"
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import zlib
 from collections.abc import Sequence
 from typing import Any, Final
 
@@ -19,11 +20,12 @@ HEAD: Final = struct.Struct("<IQQ4siI")  # sequence, log_time, publish_time, CDR
 MESSAGE_FIXED: Final = 22  # channel to publish_time
 FRAMES: Final = struct.Struct(f"<BQH{HEAD.size}sI")  # opcode, length, channel, head, bytes of frames
 FRAMES_FIXED: Final = 2 + HEAD.size + 4  # channel to the number of bytes
-INPUT: Final = struct.Struct("<III")  # slips, flags, bytes of the commands' text
+INPUT: Final = struct.Struct("<IIII")  # slips, flags, checksum, bytes of the commands' text
 INPUT_ALONE: Final = struct.Struct(
-    f"<BQH{HEAD.size}sIIIII"
+    f"<BQH{HEAD.size}sIIIIII"
 )  # a whole record without commands: their text is one zero byte
-INPUT_FIXED: Final = 2 + HEAD.size + 20
+INPUT_FIXED: Final = 2 + HEAD.size + 24
+INPUT_START: Final = struct.Struct("<II")  # slips, flags
 NATIVE_UNTIL_NS: Final = 1_000_000_000 << 31  # beyond that the seconds do not fit into a signed word
 
 
@@ -96,10 +98,19 @@ def pack_frames_stamped(channel: int, head: bytes, batch: bytes) -> bytes:
 
 def pack_input(channel: int, head: bytes, slips: int, flags: int, commands: str, frames: bytes) -> bytes:
     """One Message record of /fsw/input, see bus.telemetry.cdr.INPUT_TEXT."""
+    crc = check_input(slips, flags, commands, frames)
     if not commands:  # nearly always
         size = len(frames)
-        return INPUT_ALONE.pack(MESSAGE, INPUT_FIXED + size, channel, head, slips, flags, 1, 0, size) + frames
+        return INPUT_ALONE.pack(MESSAGE, INPUT_FIXED + size, channel, head, slips, flags, crc, 1, 0, size) + frames
     text = commands.encode() + b"\0"
     text += bytes(-len(text) % 4)
-    body = INPUT.pack(slips, flags, len(commands.encode()) + 1) + text + struct.pack("<I", len(frames)) + frames
+    body = INPUT.pack(slips, flags, crc, len(commands.encode()) + 1) + text + struct.pack("<I", len(frames)) + frames
     return PREFIX.pack(MESSAGE, 2 + HEAD.size + len(body), channel) + head + body
+
+
+def check_input(slips: int, flags: int, commands: str, frames: bytes) -> int:
+    """Checksum of what one cycle was given: a replay can only be trusted as far as its inputs."""
+    crc = zlib.crc32(INPUT_START.pack(slips, flags))
+    if commands:
+        crc = zlib.crc32(commands.encode(), crc)
+    return zlib.crc32(frames, crc)

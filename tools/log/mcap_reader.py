@@ -200,6 +200,17 @@ class Run:
             for sequence, t_ns, at, size in zip(*(column[rows].tolist() for column in columns), strict=True):
                 yield LogRecord(sequence, t_ns, stretch.data[at + DATA_AT : at + size])
 
+    def iterate_topics(self, *topics: str) -> Iterator[tuple[str, LogRecord]]:
+        """The messages of these topics, each with its topic, in file order, one chunk in memory at a time."""
+        owner = {channel: topic for topic in topics for channel in self._info(topic).channels}
+        for stretch in self._content.stretches():
+            table, data = stretch.table, stretch.data
+            columns = (table.channel, table.sequence, table.log_time_ns, table.offset, table.size)
+            for channel, sequence, t_ns, at, size in zip(*(column.tolist() for column in columns), strict=True):
+                topic = owner.get(channel)
+                if topic is not None:
+                    yield topic, LogRecord(sequence, t_ns, data[at + DATA_AT : at + size])
+
     def decode(self, topic: str, data: bytes) -> dict[str, Any]:
         """Field -> value of one message of a topic of signals. Raises RecordError where it is not of that layout."""
         layout = self._layout(topic)

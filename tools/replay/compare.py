@@ -1,0 +1,239 @@
+"""A recorded run against the same flown again: bit for bit, in one pass over the log."""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections import deque
+from dataclasses import asdict, dataclass
+from typing import Any, Final
+
+from bus.errors import RecordError
+from bus.icd.messages import MESSAGES
+from bus.wire.frames import FRAME_SIZE
+from fsw.telemetry import INPUT_TOPIC
+from fsw.telemetry import SOURCE as FSW_SOURCE
+from tools.log.mcap_reader import FRAMES_AT, LogRecord, Run
+from tools.log.message_index import DATA_AT
+from tools.replay.flight_again import Cycle, FlightAgain
+from tools.replay.inputs import CycleInput, parse_input
+
+BUS: Final = "/can/bus0"
+SAID_BY_FSW: Final = tuple(sorted(can_id for can_id, message in MESSAGES.items() if message.sender == "FSW"))
+PATIENCE: Final = 50  # real time: cycles that a logged frame may be ahead of the one that sent it
+SHOWN_FRAMES: Final = 20
+
+
+@dataclass(frozen=True, slots=True)
+class Divergence:
+    """Where the run and the replay part, and what was going on there."""
+
+    tick: int
+    t_s: float
+    where: str  # topic or frame
+    signal: str
+    recorded: Any
+    replayed: Any
+    recorded_bits: str
+    replayed_bits: str
+    mode: str
+    inputs: str
+
+    def describe(self) -> str:
+        """Several lines for people."""
+        return "\n".join((
+            f"first divergence at tick {self.tick}, {self.t_s:.6f} s: {self.where}: {self.signal}",
+            f"  recorded: {self.recorded}  ({self.recorded_bits})",
+            f"  replayed: {self.replayed}  ({self.replayed_bits})",
+            f"  mode {self.mode}; the cycle was given {self.inputs}",
+        ))  # fmt: skip
+
+
+@dataclass(slots=True)
+class Outcome:
+    """What a replay found."""
+
+    ticks: int = 0
+    records: int = 0  # compared
+    frames: int = 0  # compared
+    unheard: int = 0  # frames that the plant did not log: lost on the way, or sent after its last tick
+    differing_ticks: int = 0
+    first: Divergence | None = None
+
+    @property
+    def same(self) -> bool:
+        """Whether something was compared and nothing differed."""
+        return self.ticks > 0 and self.differing_ticks == 0
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return asdict(self) | {"same": self.same}
+
+
+def compare_replay(run: Run, again: FlightAgain, tick_ns: int) -> Outcome:
+    """Fly every recorded cycle again and compare what it says with what is in the log.
+
+    Raises RecordError when the log has no inputs, has lost some, or lays a topic out otherwise than this version does.
+    """
+    topics = _list_topics(run, again)
+    outcome = Outcome()
+    heard = _Heard(run.metadata.get("run", {}).get("clock") == "realtime")
+    expected: dict[str, bytes] = {}
+    expected_tick = last_tick = -1
+    slips = 0
+    for topic, record in run.iterate_topics(BUS, *topics):
+        if topic == BUS:
+            heard.note_recorded(record)
+            continue
+        if record.sequence != expected_tick:
+            expected, expected_tick = {}, record.sequence
+        expected[topic] = record.data
+        if topic == INPUT_TOPIC:  # the last record of a cycle
+            given = parse_input(record.sequence, record.data)
+            if given.tick != last_tick + 1 and given.slips == slips:
+                raise RecordError(
+                    f"{run.path}: the inputs of ticks {last_tick + 1} to {given.tick - 1} are not in the log; up to there "
+                    f"{outcome.differing_ticks} of {outcome.ticks} ticks differ, and beyond it nothing can be said"
+                )
+            last_tick, slips = given.tick, given.slips
+            cycle = again.cycle(given)
+            outcome.ticks += 1
+            outcome.records += len(expected)
+            heard.note_replayed(cycle.frames)
+            found = _compare_records(run, expected, cycle) or heard.compare()
+            if found is not None:
+                outcome.differing_ticks += 1
+                outcome.first = outcome.first or _locate(found, again, given, tick_ns)
+    if not outcome.ticks:
+        raise RecordError(f"{run.path}: no cycle of the flight software is in the log; there is nothing to replay")
+    found = heard.compare(at_end=True)
+    if found is not None:
+        outcome.differing_ticks += 1
+        outcome.first = outcome.first or _locate(found, again, given, tick_ns)
+    outcome.frames, outcome.unheard = heard.compared, heard.unheard
+    return outcome
+
+
+def _list_topics(run: Run, again: FlightAgain) -> tuple[str, ...]:
+    """The topics of the flight software that are compared."""
+    if INPUT_TOPIC not in run.topics:
+        raise RecordError(
+            f"{run.path}: has no {INPUT_TOPIC}, what each cycle was given; it is of a version that did not log that"
+        )
+    own = str(FSW_SOURCE)
+    recorded = {
+        name: info for name, info in run.topics.items()
+        if info.deterministic and info.encoding == "cdr" and info.source == own
+    }  # fmt: skip
+    for name in sorted(recorded.keys() | again.schemas.keys()):
+        if name not in recorded or name not in again.schemas:
+            where = "this version writes" if name in again.schemas else "the log has"
+            raise RecordError(f"{run.path}: only {where} {name}: the log is of another version or another set-up")
+        if recorded[name].schema != again.schemas[name]:
+            raise RecordError(f"{run.path}: {name} is laid out otherwise than here: the log is of another version")
+    return tuple(recorded)
+
+
+@dataclass(frozen=True, slots=True)
+class _Found:
+    where: str
+    signal: str
+    recorded: Any
+    replayed: Any
+
+
+def _compare_records(run: Run, expected: dict[str, bytes], cycle: Cycle) -> _Found | None:
+    """The first thing in which the records of a cycle differ."""
+    if expected == cycle.records:
+        return None
+    for topic in expected | cycle.records:
+        one, two = expected.get(topic), cycle.records.get(topic)
+        if one == two:
+            continue
+        if one is None or two is None or topic == INPUT_TOPIC:
+            return _Found(topic, "whole record", _show(one), _show(two))
+        a, b = run.decode(topic, one), run.decode(topic, two)
+        for name in a:
+            if _bits(a[name]) != _bits(b[name]):
+                return _Found(topic, name, a[name], b[name])
+        return _Found(topic, "stamp", _show(one), _show(two))
+    return None
+
+
+class _Heard:
+    """The frames of the flight software as the plant logged them, beside those that it sends again: id by id, in order."""
+
+    def __init__(self, lossy: bool) -> None:
+        """lossy: in real time a frame may be lost, and one may be logged before or after the cycle that sent it."""
+        self._lossy = lossy
+        self._recorded: dict[int, deque[bytes]] = {can_id: deque() for can_id in SAID_BY_FSW}
+        self._replayed: dict[int, deque[bytes]] = {can_id: deque() for can_id in SAID_BY_FSW}
+        self.compared = 0
+        self.unheard = 0
+
+    def note_recorded(self, record: LogRecord) -> None:
+        """Take the frames of a tick of the bus."""
+        _sort(record.data[FRAMES_AT - DATA_AT :], self._recorded)
+
+    def note_replayed(self, frames: bytes) -> None:
+        """Take the frames of a cycle."""
+        _sort(frames, self._replayed)
+
+    def compare(self, at_end: bool = False) -> _Found | None:
+        """Match what both sides have by now; the first mismatch."""
+        first = None
+        for can_id in SAID_BY_FSW:
+            recorded, replayed = self._recorded[can_id], self._replayed[can_id]
+            while recorded and (replayed or at_end):
+                frame = recorded[0]
+                place = replayed.index(frame) if frame in replayed else -1
+                if place < 0 and self._lossy and len(replayed) < PATIENCE and not at_end:
+                    break  # it may still come
+                self.compared += 1
+                recorded.popleft()
+                if place == 0 or (place > 0 and self._lossy):
+                    self.unheard += place
+                    for _ in range(place + 1):
+                        replayed.popleft()
+                else:
+                    other = replayed.popleft() if replayed else b""
+                    first = first or _Found(
+                        f"frame 0x{can_id:03X}", "data", frame[8:].hex(), other[8:].hex() or "no frame"
+                    )
+        if at_end:
+            self.unheard += sum(map(len, self._replayed.values()))
+        return first
+
+
+def _sort(frames: bytes, queues: dict[int, deque[bytes]]) -> None:
+    for at in range(0, len(frames), FRAME_SIZE):
+        queue = queues.get(int.from_bytes(frames[at : at + 4], "little"))
+        if queue is not None:
+            queue.append(frames[at : at + FRAME_SIZE])
+
+
+def _locate(found: _Found, again: FlightAgain, given: CycleInput, tick_ns: int) -> Divergence:
+    frames = [given.frames[at : at + FRAME_SIZE] for at in range(0, len(given.frames), FRAME_SIZE)]
+    words = [f"{int.from_bytes(f[:4], 'little'):03X}#{f[8 : 8 + min(f[4], 8)].hex().upper()}" for f in frames]
+    shown = " ".join(words[:SHOWN_FRAMES]) + (
+        f" and {len(words) - SHOWN_FRAMES} more" if len(words) > SHOWN_FRAMES else ""
+    )
+    commands = "; ".join(command.to_json() for command in given.commands)
+    return Divergence(
+        given.tick, given.tick * tick_ns * 1e-9, found.where, found.signal, found.recorded, found.replayed,
+        _bits(found.recorded), _bits(found.replayed), again.flight.modes.mode.name.lower(),
+        f"slips {given.slips}, flags {given.flags}, {commands + '; ' if commands else ''}frames {shown or 'none'}",
+    )  # fmt: skip
+
+
+def _bits(value: Any) -> str:
+    """The bits of a value, hexadecimal."""
+    if isinstance(value, float):
+        return struct.pack(">d", value).hex()
+    if isinstance(value, list):
+        return " ".join(map(_bits, value))
+    return json.dumps(value)
+
+
+def _show(data: bytes | None) -> str:
+    return "no record" if data is None else data.hex()
