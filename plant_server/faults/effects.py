@@ -29,14 +29,51 @@ class Acting:
 
 
 class WheelDisturbance:
-    """What the faults of a wheel make of its motor's torque tau: gain tau + offset; and whether its telemetry stops."""
+    """What the faults of a wheel make of it: of the motor, the bearing, the supply, the telemetry and the node.
 
-    __slots__ = ("gain", "offset_nm", "silent")
+    An ideal wheel has gain, offset, friction, seizure and telemetry; a wheel with a motor has all. Torques are those on the
+    body about the wheel's axis [N m] but for friction and seizure, which oppose the rotor's motion.
+    """
+
+    __slots__ = (
+        "bus_v", "coulomb_gain", "counter_frozen", "current_frozen", "current_gain", "current_lsb_a", "current_offset_a",
+        "driver_gain", "friction_nm", "gain", "has_bus", "is_stuck", "late_ticks", "motor_on", "offset_nm", "seize_nm",
+        "silent", "speed_frozen", "speed_gain", "speed_lsb_rad_s", "speed_offset_rad_s", "static_nm", "stuck_current_a",
+        "torque_gain", "viscous_gain",
+    )  # fmt: skip
 
     def __init__(self) -> None:
+        # the torque of the whole motor, as papers without a motor model have it: gain tau + offset
         self.gain = 1.0
         self.offset_nm = 0.0
+        # the motor: driver gain C_d, torque constant C_t, whether it has current at all, a current it cannot leave
+        self.driver_gain = 1.0
+        self.torque_gain = 1.0
+        self.motor_on = True
+        self.is_stuck = False
+        self.stuck_current_a = 0.0
+        # the bearing: factors on dry and viscous friction, more dry friction, more at rest (Stribeck), seizure
+        self.coulomb_gain = 1.0
+        self.viscous_gain = 1.0
+        self.friction_nm = 0.0
+        self.static_nm = 0.0
+        self.seize_nm = 0.0
+        # the supply: what the bus has in place of its own voltage
+        self.has_bus = False
+        self.bus_v = 0.0
+        # telemetry: value gain + offset in steps of lsb (0: none), or as it was
+        self.speed_gain = 1.0
+        self.speed_offset_rad_s = 0.0
+        self.speed_lsb_rad_s = 0.0
+        self.speed_frozen = False
+        self.current_gain = 1.0
+        self.current_offset_a = 0.0
+        self.current_lsb_a = 0.0
+        self.current_frozen = False
+        # the node: no frames, frames of so many ticks ago, an alive counter that stands
         self.silent = False
+        self.late_ticks = 0
+        self.counter_frozen = False
 
 
 class GyroSample:
