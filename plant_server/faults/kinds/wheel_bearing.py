@@ -115,9 +115,9 @@ class LowSpeedFriction(WheelEffect):
     equation = "tau_s - tau_c, where |w| < `below_rad_s`"
     seen_in = "Cassini, December 2000: friction after long running at low speed, gone after running fast"
     static_nm: Annotated[NewtonMetre, Gt(0), Le(0.05)] = 0.002  # twice the Coulomb friction of ithaco_a in all
-    below_rad_s: Annotated[RadS, Gt(0)] = 50.0  # speed from which on there is none
-    heal_speed_rad_s: Annotated[RadS, Gt(0)] = 150.0  # speed above which it heals,
-    heal_s: Annotated[Seconds, Gt(0)] = 300.0  # when the wheel has run so for so long in all since the onset
+    below_rad_s: Annotated[RadS, Gt(0)] = 50.0  # speed from which on there is none of it
+    heal_speed_rad_s: Annotated[RadS, Gt(0)] = 150.0  # speed above which it heals
+    heal_s: Annotated[Seconds, Gt(0)] = 300.0  # that the wheel must run so fast, in all since the onset
 
     def follow(self, now: Acting, passed_s: float) -> str | None:
         """Count the time at high speed; return that it was enough."""

@@ -84,7 +84,9 @@ class Runaway(WheelEffect):
     needs_motor = True
     equation = "I_dem = I_stuck"
     seen_in = "driver shorted: full torque whatever is asked"
-    current_a: Annotated[float, Ge(-5), Le(5)] = 0.95  # 5 V at 0.19 A/V: all that the driver can give, either way
+    current_a: Annotated[float, Unit("A"), Ge(-5), Le(5)] = (
+        0.95  # 5 V at 0.19 A/V: all that the driver can give, either way
+    )
 
     def disturb(self, wheel: WheelDisturbance, now: Acting) -> None:
         """Put a current in place of what there was; a torque that an earlier fault holds gives way."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from bus.units import Gt, Le, RadS
+from bus.units import Gt, Le, RadS, Unit
 from plant_server.config import PlantConfig
 from plant_server.faults.effects import Acting, WheelDisturbance, WheelEffect, register
 
@@ -123,7 +123,7 @@ class CurrentBias(WheelEffect):
 
     equation = CURRENT
     seen_in = "offset of the current amplifier"
-    current_a: float = 0.05
+    current_a: Annotated[float, Unit("A")] = 0.05
 
     def disturb(self, wheel: WheelDisturbance, now: Acting) -> None:
         """Shift the reading."""
@@ -194,7 +194,7 @@ class CurrentQuantise(WheelEffect):
     switches = True
     equation = CURRENT
     seen_in = "a coarse converter, a lost bit"
-    step_a: Annotated[float, Gt(0)] = 0.02
+    step_a: Annotated[float, Unit("A"), Gt(0)] = 0.02
 
     def disturb(self, wheel: WheelDisturbance, now: Acting) -> None:
         """Round the reading to the coarsest of all steps."""
