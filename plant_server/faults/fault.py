@@ -88,6 +88,15 @@ class Fault:
         return json.dumps(self.plain_settings(), separators=(",", ":"), allow_nan=False)
 
     @property
+    def ends_s(self) -> float | None:
+        """When it ends without anyone doing anything [s]; None: not before the run does."""
+        if self.latch:
+            return None
+        span_s = self.profile.span_s
+        ends = [end for end in (self.until_s, None if span_s is None else self.at_s + span_s) if end is not None]
+        return min(ends, default=None)
+
+    @property
     def magnitudes(self) -> dict[str, float]:
         """What its kind takes of numbers, in their order; those left out are not there."""
         effect = self.effect

@@ -58,7 +58,9 @@ class ListedFault(NamedTuple):
 class Occurrence:
     """One fault of the run in integration steps, whatever the number of units it is on."""
 
-    __slots__ = ("_course", "_peak", "cause_off", "fault", "had_effect", "id", "number", "off", "on", "start_s")
+    __slots__ = (
+        "_course", "_peak", "cause_off", "fault", "find_level", "had_effect", "id", "number", "off", "on", "start_s",
+    )  # fmt: skip
 
     def __init__(self, fault: Fault, name: str, number: int, start_s: float, on: int, off: int, course: Course) -> None:
         self.fault = fault
@@ -70,14 +72,13 @@ class Occurrence:
         self.cause_off = off  # first step on which nothing brings it back
         self.had_effect = False
         self._course = course
-        self._peak = 0.0  # highest level since the onset or since it was last cleared
+        self._peak = 0.0  # highest level since the onset or since it was last cleared, of one with a latch
+        # how far it has come on, 0..1, so long after its onset [s]
+        self.find_level: Callable[[float], float] = self._hold_level if fault.latch else course.level
 
-    def find_level(self, elapsed_s: float) -> float:
-        """Return how far it has come on, 0..1, so long after its onset [s]."""
-        level = self._course.level(elapsed_s)
-        if self.fault.latch:
-            self._peak = level = max(level, self._peak)
-        return level
+    def _hold_level(self, elapsed_s: float) -> float:
+        self._peak = max(self._course.level(elapsed_s), self._peak)
+        return self._peak
 
     def settled(self, elapsed_s: float) -> bool:
         """Return whether its level stays what it is [s since the onset]."""
@@ -91,7 +92,7 @@ class Occurrence:
 class ActiveFault(Generic[K]):
     """One fault at work on one unit: its effect, and what that is told."""
 
-    __slots__ = ("_draw", "_heal", "_is_new", "effect", "now", "occurrence")
+    __slots__ = ("_draw", "_find_level", "_goes_on", "_heal", "_is_new", "effect", "now", "occurrence")
 
     def __init__(
         self, occurrence: Occurrence, draw: Draw | None, heal: Callable[[Occurrence, float, str], None]
@@ -100,8 +101,10 @@ class ActiveFault(Generic[K]):
         self.effect = cast(K, occurrence.fault.effect)
         self.now = Acting(occurrence.start_s)
         self._draw = draw
+        self._find_level = occurrence.find_level
         self._heal = heal
         self._is_new = True
+        self._goes_on = draw is not None or self.effect.remembers  # something happens with every step or sample
 
     def bring_to(self, t_s: float, speed_rad_s: float = 0.0) -> None:
         """Bring what the effect is told to the time t_s; random numbers are drawn when that is another than the last.
@@ -110,20 +113,24 @@ class ActiveFault(Generic[K]):
                       by kinds that are not `steady`
         """
         now = self.now
-        effect = self.effect
         passed_s = t_s - now.t_s
         now.t_s = t_s
         now.speed_rad_s = speed_rad_s
         now.elapsed_s = elapsed_s = t_s - now.start_s
-        now.level = self.occurrence.find_level(elapsed_s)
-        if self._is_new or passed_s != 0.0:
-            self._is_new = False
-            if self._draw is not None:
-                now.drawn = tuple([self._draw() for _ in range(effect.draws)])
-            if effect.remembers:
-                why = effect.follow(now, passed_s)
-                if why is not None:
-                    self._heal(self.occurrence, t_s, why)
+        now.level = self._find_level(elapsed_s)
+        if self._goes_on and (self._is_new or passed_s != 0.0):
+            self._go_on(passed_s)
+
+    def _go_on(self, passed_s: float) -> None:
+        """Draw the random numbers of this step or sample; keep what the kind remembers of the time since the last one."""
+        now, effect = self.now, self.effect
+        self._is_new = False
+        if self._draw is not None:
+            now.drawn = tuple([self._draw() for _ in range(effect.draws)])
+        if effect.remembers:
+            why = effect.follow(now, passed_s)
+            if why is not None:
+                self._heal(self.occurrence, now.t_s, why)
 
     def is_settled(self) -> bool:
         """Return whether what it does stays what it is."""
