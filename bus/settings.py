@@ -283,11 +283,14 @@ def _read_list(kinds: tuple[Any, ...], data: object, at: KeyPath, out: Reading, 
 
 
 def _read_word(words: tuple[Any, ...], data: object, at: KeyPath, out: Reading) -> Any:
-    if isinstance(data, str) and data in words:
+    if isinstance(data, str | bool) and any(
+        data is word or (data == word and type(data) is type(word)) for word in words
+    ):
         return data
-    guess = out.guess(data, words) if isinstance(data, str) else None
+    texts = [word if isinstance(word, str) else json.dumps(word) for word in words]
+    guess = out.guess(data, texts) if isinstance(data, str) else None
     hint = f' did you mean "{guess}"?' if guess else ""
-    return out.add(at, f"{describe(data)} is not known;{hint} there are: {', '.join(map(str, words))}")
+    return out.add(at, f"{describe(data)} is not known;{hint} there are: {', '.join(texts)}")
 
 
 def _read_scalar(kind: Any, data: object, at: KeyPath, out: Reading, notes: tuple[Any, ...]) -> Any:

@@ -137,7 +137,8 @@ class PlantLog:
             t_ns, event.tick, fault.unit, fault.kind, event.phase, event.value, fault.describe(),
             id=event.id, number=event.number, definition=fault.definition,
         )  # fmt: skip
-        self.link.event(t_ns, LEVELS[event.phase], "plant", f"fault {event.phase}: {event.id}: {fault.describe()}")
+        phase = f"{event.phase} by {event.by}" if event.by else event.phase
+        self.link.event(t_ns, LEVELS[event.phase], "plant", f"fault {phase}: {event.id}: {fault.describe()}")
 
     def note_command(self, command: Command, tick: int, done: str) -> None:
         """Log a command that was applied before the work of this tick."""

@@ -11,13 +11,14 @@ from collections.abc import Callable
 from typing import ClassVar, TypeVar
 
 from plant_server.config import PlantConfig
-from plant_server.faults.units import FAMILIES
+from plant_server.faults.profiles import STEP, Profile
+from plant_server.faults.units import FAMILIES, WHEELS
 
 
 class Acting:
     """What an effect is told: how far its fault has come on at this moment, and what fell by chance."""
 
-    __slots__ = ("drawn", "elapsed_s", "held_rad_s", "level", "start_s", "t_s")
+    __slots__ = ("drawn", "elapsed_s", "fast_s", "held_rad_s", "level", "speed_rad_s", "start_s", "t_s")
 
     def __init__(self, start_s: float) -> None:
         self.start_s = start_s
@@ -25,18 +26,57 @@ class Acting:
         self.elapsed_s = 0.0  # since the onset
         self.level = 0.0  # 0 not there .. 1 fully there
         self.drawn: tuple[float, ...] = ()  # uniform on [0, 1), anew for every sample, as many as the kind asks for
+        self.speed_rad_s = 0.0  # wheel: of the rotor, relative to the body, at the start of the integration step
         self.held_rad_s: float | None = None  # gyro: the output that was held at the onset
+        self.fast_s = 0.0  # wheel: for how long it has run fast since the onset, for kinds that heal by that
 
 
 class WheelDisturbance:
-    """What the faults of a wheel make of its motor's torque tau: gain tau + offset; and whether its telemetry stops."""
+    """What the faults of a wheel make of it: of the motor, the bearing, the supply, the telemetry and the node.
 
-    __slots__ = ("gain", "offset_nm", "silent")
+    An ideal wheel has gain, offset, friction, seizure and telemetry; a wheel with a motor has all. Torques are those on the
+    body about the wheel's axis [N m] but for friction and seizure, which oppose the rotor's motion.
+    """
+
+    __slots__ = (
+        "bus_v", "coulomb_gain", "counter_frozen", "current_frozen", "current_gain", "current_lsb_a", "current_offset_a",
+        "driver_gain", "friction_nm", "gain", "has_bus", "is_stuck", "late_ticks", "motor_on", "offset_nm", "seize_nm",
+        "silent", "speed_frozen", "speed_gain", "speed_lsb_rad_s", "speed_offset_rad_s", "static_nm", "stuck_current_a",
+        "torque_gain", "viscous_gain",
+    )  # fmt: skip
 
     def __init__(self) -> None:
+        # the torque of the whole motor, as papers without a motor model have it: gain tau + offset
         self.gain = 1.0
         self.offset_nm = 0.0
+        # the motor: driver gain C_d, torque constant C_t, whether it has current at all, a current it cannot leave
+        self.driver_gain = 1.0
+        self.torque_gain = 1.0
+        self.motor_on = True
+        self.is_stuck = False
+        self.stuck_current_a = 0.0
+        # the bearing: factors on dry and viscous friction, more dry friction, more at rest (Stribeck), seizure
+        self.coulomb_gain = 1.0
+        self.viscous_gain = 1.0
+        self.friction_nm = 0.0
+        self.static_nm = 0.0
+        self.seize_nm = 0.0
+        # the supply: what the bus has in place of its own voltage
+        self.has_bus = False
+        self.bus_v = 0.0
+        # telemetry: value gain + offset in steps of lsb (0: none), or as it was
+        self.speed_gain = 1.0
+        self.speed_offset_rad_s = 0.0
+        self.speed_lsb_rad_s = 0.0
+        self.speed_frozen = False
+        self.current_gain = 1.0
+        self.current_offset_a = 0.0
+        self.current_lsb_a = 0.0
+        self.current_frozen = False
+        # the node: no frames, frames of so many ticks ago, an alive counter that stands
         self.silent = False
+        self.late_ticks = 0
+        self.counter_frozen = False
 
 
 class GyroSample:
@@ -73,15 +113,28 @@ class Effect:
     __slots__ = ()
     family: ClassVar[str]  # set by `register`,
     kind: ClassVar[str]  # as the name of the kind in scenarios
-    rises: ClassVar[bool] = True  # whether another profile than a step means anything
+    rises: ClassVar[bool] = True  # whether a level between 0 and 1 means anything: any profile will do
+    switches: ClassVar[bool] = False  # does not rise, but can come and go: profiles without a slope
+    usual: ClassVar[Profile] = STEP  # profile of a fault that gives none, and of keys that one of its sort leaves out
     draws: ClassVar[int] = 0  # random numbers a sample, from a stream of the fault's own
     steady: ClassVar[bool] = (
         True  # changes only as its level does (a wheel's faults are looked at only when they change)
     )
     early: ClassVar[bool] = False  # acts ahead of all others of its unit, whenever its onset is
+    last: ClassVar[bool] = False  # acts behind all others of its unit
+    remembers: ClassVar[bool] = False  # has `follow` called once a step
+    resettable: ClassVar[bool] = False  # a reset or a power cycle of its unit heals it, where it has no latch
+    # for the catalogue: where it is in the model's equations, where it was seen, MAVLink (FAILURE_UNIT, FAILURE_TYPE)
+    equation: ClassVar[str] = ""
+    seen_in: ClassVar[str] = ""
+    failures: ClassVar[tuple[tuple[int, int], ...]] = ()
 
-    def explain_futile(self, plant: PlantConfig | None) -> str | None:
-        """Return why it can have no effect, whatever happens, on this plant (None: on any); None when it can."""
+    def explain_futile(self, plant: PlantConfig | None, unit: str) -> str | None:
+        """Return why it can have no effect on this unit of this plant (None: of any), whatever happens; None when it can."""
+        return None
+
+    def follow(self, now: Acting, passed_s: float) -> str | None:
+        """Keep in `now` what it remembers of the time passed; return why it has healed by itself, None: it has not."""
         return None
 
 
@@ -89,10 +142,25 @@ class WheelEffect(Effect):
     """A kind of wheel fault."""
 
     __slots__ = ()
+    needs_motor: ClassVar[bool] = False  # changes what an ideal wheel has not: driver, current, supply, lubricant
+
+    def explain_futile(self, plant: PlantConfig | None, unit: str) -> str | None:
+        """Return why, when it needs a motor and the wheel is an ideal one."""
+        return explain_without_motor(self, plant, unit)
 
     def disturb(self, wheel: WheelDisturbance, now: Acting) -> None:
         """Change the record as the fault does, after those with an earlier onset."""
         raise NotImplementedError
+
+
+def explain_without_motor(effect: WheelEffect, plant: PlantConfig | None, unit: str) -> str | None:
+    """Return why a kind that needs a motor can do nothing on this wheel, None when it can."""
+    if not effect.needs_motor or plant is None or unit not in WHEELS:
+        return None
+    index = WHEELS.index(unit)
+    if getattr(plant.wheels[index], "model", "ideal") != "ideal":
+        return None
+    return f"{effect.kind} has no effect: {unit} is an ideal wheel; give plant.wheels[{index}] a model with a motor"
 
 
 class GyroEffect(Effect):

@@ -1,18 +1,26 @@
 """When which fault acts: a chain for each unit, onsets and ends in integration steps, and the events that tell of them.
 
 None replaces another; each has an onset, an optional end and a profile. Events: `onset` and `end` as the scenario has them,
-`cleared` by command, and `effect`, the first time that a fault really changes something of its unit's output.
+`cleared` by command, by a reset or a power cycle of the unit or by itself, and `effect`, the first time that a fault really
+changes something of its unit's output.
+
+A fault with a latch keeps the highest level that it has reached, whatever its profile does and also beyond its end. Only the
+reset or the power cycle of its unit that the latch names takes it away, and only once its cause is gone: its `until_s`, or
+the length of its profile, has passed. Without an end the cause is gone at once. One that comes again by itself
+(intermittent, poisson) goes back to where its profile stands, and is caught anew by the next spell.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Generic, NamedTuple, TypeVar, cast
 
 from bus.errors import ConfigError
 from plant_server.config import PlantConfig
 from plant_server.faults.effects import Acting, Effect
 from plant_server.faults.fault import Fault, check_faults, fault_ids
+from plant_server.faults.profiles import Course
 from plant_server.faults.units import SIMPLE_UNITS, family_of, parts_of
 from plant_server.noise import Draw, open_uniforms
 
@@ -30,6 +38,7 @@ class FaultEvent(NamedTuple):
     number: int  # which fault, in the order of the scenario, then of commands
     fault: Fault
     phase: str  # onset, effect, end, cleared
+    by: str = ""  # cleared: by what, when it was no command of the test bench
 
     @property
     def value(self) -> float:
@@ -49,42 +58,84 @@ class ListedFault(NamedTuple):
 class Occurrence:
     """One fault of the run in integration steps, whatever the number of units it is on."""
 
-    __slots__ = ("fault", "had_effect", "id", "number", "off", "on", "start_s")
+    __slots__ = (
+        "_course", "_peak", "cause_off", "fault", "find_level", "had_effect", "id", "number", "off", "on", "start_s",
+    )  # fmt: skip
 
-    def __init__(self, fault: Fault, name: str, number: int, start_s: float, on: int, off: int) -> None:
+    def __init__(self, fault: Fault, name: str, number: int, start_s: float, on: int, off: int, course: Course) -> None:
         self.fault = fault
         self.id = name
         self.number = number
         self.start_s = start_s
         self.on = on  # first step on which it acts
-        self.off = off  # first step on which it no longer acts
+        self.off = NEVER if fault.latch else off  # first step on which it no longer acts
+        self.cause_off = off  # first step on which nothing brings it back
         self.had_effect = False
+        self._course = course
+        self._peak = 0.0  # highest level since the onset or since it was last cleared, of one with a latch
+        # how far it has come on, 0..1, so long after its onset [s]
+        self.find_level: Callable[[float], float] = self._hold_level if fault.latch else course.level
+
+    def _hold_level(self, elapsed_s: float) -> float:
+        self._peak = max(self._course.level(elapsed_s), self._peak)
+        return self._peak
+
+    def settled(self, elapsed_s: float) -> bool:
+        """Return whether its level stays what it is [s since the onset]."""
+        return self._peak == 1.0 or self._course.settled(elapsed_s)
+
+    def let_go(self) -> None:
+        """Fall back to where the profile stands."""
+        self._peak = 0.0
 
 
 class ActiveFault(Generic[K]):
     """One fault at work on one unit: its effect, and what that is told."""
 
-    __slots__ = ("_draw", "effect", "now", "occurrence")
+    __slots__ = ("_draw", "_find_level", "_goes_on", "_heal", "_is_new", "effect", "now", "occurrence")
 
-    def __init__(self, occurrence: Occurrence, draw: Draw | None) -> None:
+    def __init__(
+        self, occurrence: Occurrence, draw: Draw | None, heal: Callable[[Occurrence, float, str], None]
+    ) -> None:
         self.occurrence = occurrence
         self.effect = cast(K, occurrence.fault.effect)
         self.now = Acting(occurrence.start_s)
         self._draw = draw
+        self._find_level = occurrence.find_level
+        self._heal = heal
+        self._is_new = True
+        self._goes_on = draw is not None or self.effect.remembers  # something happens with every step or sample
 
-    def bring_to(self, t_s: float) -> None:
-        """Bring what the effect is told to the time t_s; once per sample, for the random numbers are drawn here."""
+    def bring_to(self, t_s: float, speed_rad_s: float = 0.0) -> None:
+        """Bring what the effect is told to the time t_s; random numbers are drawn when that is another than the last.
+
+        speed_rad_s : of a wheel's rotor relative to the body, at the start of the integration step; needed each step
+                      by kinds that are not `steady`
+        """
         now = self.now
+        passed_s = t_s - now.t_s
         now.t_s = t_s
+        now.speed_rad_s = speed_rad_s
         now.elapsed_s = elapsed_s = t_s - now.start_s
-        now.level = self.occurrence.fault.profile.level(elapsed_s)
+        now.level = self._find_level(elapsed_s)
+        if self._goes_on and (self._is_new or passed_s != 0.0):
+            self._go_on(passed_s)
+
+    def _go_on(self, passed_s: float) -> None:
+        """Draw the random numbers of this step or sample; keep what the kind remembers of the time since the last one."""
+        now, effect = self.now, self.effect
+        self._is_new = False
         if self._draw is not None:
-            now.drawn = tuple([self._draw() for _ in range(self.effect.draws)])
+            now.drawn = tuple([self._draw() for _ in range(effect.draws)])
+        if effect.remembers:
+            why = effect.follow(now, passed_s)
+            if why is not None:
+                self._heal(self.occurrence, now.t_s, why)
 
     def is_settled(self) -> bool:
         """Return whether what it does stays what it is."""
         effect = self.effect
-        return effect.steady and not effect.draws and self.occurrence.fault.profile.settled(self.now.elapsed_s)
+        return effect.steady and not effect.draws and self.occurrence.settled(self.now.elapsed_s)
 
 
 class FaultChain(Generic[K]):
@@ -100,7 +151,7 @@ class FaultChain(Generic[K]):
     def add(self, entry: ActiveFault[K]) -> None:
         """Put a fault in its place; the chain is looked at afresh on the next step."""
         self.entries.append(entry)
-        self.entries.sort(key=lambda e: (not e.effect.early, e.occurrence.on, e.occurrence.number))
+        self.entries.sort(key=lambda e: (not e.effect.early, e.effect.last, e.occurrence.on, e.occurrence.number))
         self.next_edge = -1
 
     def refresh(self, step: int) -> None:
@@ -112,6 +163,15 @@ class FaultChain(Generic[K]):
     def without_effect_yet(self) -> tuple[ActiveFault[K], ...]:
         """Return the active faults that have not changed anything so far."""
         return tuple(entry for entry in self.active if not entry.occurrence.had_effect)
+
+
+class Waiting(NamedTuple):
+    """An event that has not been returned yet."""
+
+    step: int
+    phase: str
+    item: Occurrence
+    by: str
 
 
 class FaultTimeline:
@@ -140,9 +200,7 @@ class FaultTimeline:
         self._seed = seed
         self._all: list[Occurrence] = []
         self._commanded = 0
-        self._waiting: list[
-            tuple[int, str, Occurrence]
-        ] = []  # step, phase: events that are still to come, soonest first
+        self._waiting: list[Waiting] = []  # events that are still to come, soonest first
         self.next_event = NEVER  # step of the next one
         for name, fault in zip(fault_ids(faults), faults, strict=True):
             self._enter(fault, name, 0)
@@ -180,12 +238,56 @@ class FaultTimeline:
             what = f'id "{id}"' if id is not None else f'unit "{unit}"'
             raise ConfigError(f"fault.clear: no fault with {what} is waiting or active; there are: {there}")
         for item in over:
-            item.off = step
-            self._waiting = [entry for entry in self._waiting if entry[2] is not item or entry[0] < step]
-            self._expect(step, "cleared", item)
-            for part in parts_of(item.fault.unit):
-                self.chains[part].next_edge = -1
+            self._end(item, step, "")
         return tuple(item.id for item in over)
+
+    def reset_unit(self, unit: str, step: int) -> tuple[str, ...]:
+        """Return the ids of the faults that a reset of a unit takes away, before the integration step `step`.
+
+        Those whose latch is `until_reset`, and those of kinds that a reset heals. The unit's model looks at its faults
+        again (`WheelBank.look_again`). Not the same as `clear`, which the test bench does and which always works.
+        """
+        return self._recover(unit, step, ("until_reset",), "reset")
+
+    def power_cycle_unit(self, unit: str, step: int) -> tuple[str, ...]:
+        """Return the ids of the faults that a power cycle of a unit takes away, before the integration step `step`.
+
+        All that a reset does, and those whose latch is `until_power_cycle`.
+        """
+        return self._recover(unit, step, ("until_reset", "until_power_cycle"), "power cycle")
+
+    def _recover(self, unit: str, step: int, latches: tuple[str, ...], by: str) -> tuple[str, ...]:
+        """Return the ids of the active faults that are taken away, each announced."""
+        gone = []
+        for item in [item for item in self._all if unit in parts_of(item.fault.unit) and item.on <= step < item.off]:
+            latch = item.fault.latch
+            if latch is None and item.fault.effect.resettable:
+                self._end(item, step, by)
+            elif latch is None or latch not in latches or (item.cause_off != NEVER and step < item.cause_off):
+                continue
+            elif item.fault.profile.recurs and item.cause_off == NEVER:
+                item.let_go()
+                self._look_again(item)
+                self._expect(step, "cleared", item, f"{by}, until it comes again")
+            else:
+                self._end(item, step, by)
+            gone.append(item.id)
+        return tuple(gone)
+
+    def _end(self, item: Occurrence, step: int, by: str) -> None:
+        """End a fault before its time."""
+        item.off = step
+        self._waiting = [entry for entry in self._waiting if entry.item is not item or entry.step < step]
+        self._expect(step, "cleared", item, by)
+        self._look_again(item)
+
+    def _heal(self, item: Occurrence, t_s: float, why: str) -> None:
+        """End a fault that has healed by itself, after the step or sample of the time t_s."""
+        self._end(item, math.floor(t_s / self._step_s + 1e-6) + 1, why)
+
+    def _look_again(self, item: Occurrence) -> None:
+        for part in parts_of(item.fault.unit):
+            self.chains[part].next_edge = -1
 
     def list(self, step: int) -> tuple[ListedFault, ...]:
         """Return every fault of the run and how it stands before the integration step `step`."""
@@ -209,37 +311,43 @@ class FaultTimeline:
 
     def take_events(self, step: int) -> tuple[FaultEvent, ...]:
         """Return what has happened up to and including `step` and was not returned before, in its order."""
-        due = [entry for entry in self._waiting if entry[0] <= step]
+        due = [entry for entry in self._waiting if entry.step <= step]
         self._waiting = self._waiting[len(due) :]
-        self.next_event = self._waiting[0][0] if self._waiting else NEVER
+        self.next_event = self._waiting[0].step if self._waiting else NEVER
         return tuple(
-            FaultEvent(at // self._steps_per_tick, at * self._step_s, item.id, item.number, item.fault, phase)
-            for at, phase, item in due
+            FaultEvent(at // self._steps_per_tick, at * self._step_s, item.id, item.number, item.fault, phase, by)
+            for at, phase, item, by in due
         )
 
-    def _expect(self, step: int, phase: str, item: Occurrence) -> None:
-        self._waiting.append((step, phase, item))
+    def _expect(self, step: int, phase: str, item: Occurrence, by: str = "") -> None:
+        self._waiting.append(Waiting(step, phase, item, by))
         self._waiting.sort(key=_find_place)
-        self.next_event = self._waiting[0][0]
+        self.next_event = self._waiting[0].step
 
     # -- entering ------------------------------------------------------------------------------------------------------
 
     def _enter(self, fault: Fault, name: str, step: int) -> None:
         on = max(self._count_steps(fault.at_s), step)
         off = NEVER if fault.until_s is None else max(self._count_steps(fault.until_s), on + 1)
+        start_s = max(fault.at_s, step * self._step_s)
+        span_s = fault.profile.span_s
+        if span_s is not None:
+            off = min(off, max(self._count_steps(start_s + span_s), on + 1))
         if family_of(fault.unit) != "wheel":
             on, off = self._round_to_tick(on), self._round_to_tick(off)
-        start_s = max(fault.at_s, step * self._step_s)
-        item = Occurrence(fault, name, len(self._all), start_s, on, off)
+        alike = sum(item.fault.unit == fault.unit and item.fault.kind == fault.kind for item in self._all)
+        course = fault.profile.open(self._seed, f"fault/{fault.unit}/{fault.kind}/{alike}/profile")
+        item = Occurrence(fault, name, len(self._all), start_s, on, off, course)
         self._all.append(item)
         for unit in parts_of(fault.unit):
             chain = self.chains[unit]
             order = sum(entry.effect.kind == fault.kind for entry in chain.entries)
             stream = f"fault/{unit}/{fault.kind}/{order}"
-            chain.add(ActiveFault(item, open_uniforms(self._seed, stream) if fault.effect.draws else None))
+            draw = open_uniforms(self._seed, stream) if fault.effect.draws else None
+            chain.add(ActiveFault(item, draw, self._heal))
         self._expect(on, "onset", item)
-        if off < NEVER:
-            self._expect(off, "end", item)
+        if item.off < NEVER:
+            self._expect(item.off, "end", item)
 
     def _count_steps(self, time_s: float) -> int:
         return math.ceil(time_s / self._step_s - 1e-6)
@@ -249,9 +357,9 @@ class FaultTimeline:
         return step if step == NEVER else -(-step // n) * n
 
 
-def _find_place(entry: tuple[int, str, Occurrence]) -> tuple[int, int, int]:
+def _find_place(entry: Waiting) -> tuple[int, int, int]:
     """Return the order of events: by step, ends ahead of onsets, but that of a fault too short to act behind its own."""
-    step, phase, item = entry
+    step, phase, item, _ = entry
     return (step, 3 if phase == "end" and item.on >= step else ORDER[phase], item.number)
 
 

@@ -167,7 +167,10 @@ class IdealBank(WheelBank):
         """Bring the faults up to date for the integration step `step`: due once that reaches `_next_look`."""
         t_s = (step + 0.5) * self._step_s
         a, b, c, d = self._wheels
-        self._next_look = min(a.look(step, t_s), b.look(step, t_s), c.look(step, t_s), d.look(step, t_s))
+        s1, s2, s3, s4 = self.speed_rad_s
+        self._next_look = min(
+            a.look(step, t_s, s1), b.look(step, t_s, s2), c.look(step, t_s, s3), d.look(step, t_s, s4)
+        )
         self.silent = (a.silent, b.silent, c.silent, d.silent)
         self._is_steady = False
 

@@ -62,13 +62,13 @@ class IdealWheel:
         """Whether its torque stays what it is but for a speed limit, while command and faults do."""
         return not (self._has_lag or self._has_drag or self.limited)
 
-    def look(self, step: int, t_s: float) -> int:
+    def look(self, step: int, t_s: float, speed_rad_s: float) -> int:
         """Bring the faults up to date for the step at t_s; return the step of the next look that is due."""
         chain = self._chain
         if step >= chain.next_edge:
             chain.refresh(step)
         for fault in chain.active:
-            fault.bring_to(t_s)
+            fault.bring_to(t_s, speed_rad_s)
         self._state = self._compose(None)
         self._pending = tuple(Pending(fault, self._compose(fault)) for fault in chain.without_effect_yet())
         return chain.next_edge if all(fault.is_settled() for fault in chain.active) else step + 1
@@ -79,6 +79,8 @@ class IdealWheel:
         for fault in self._chain.active:
             if fault is not left_out:
                 fault.effect.disturb(state, fault.now)
+        if not state.motor_on:
+            state.gain = 0.0
         return state
 
     def drive(self, step: int, command_nm: float, speed_rad_s: float) -> float:

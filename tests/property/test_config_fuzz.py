@@ -22,7 +22,7 @@ from pydantic_core import CoreSchema, core_schema
 from bus.errors import ConfigError
 from bus.settings import NOTHING, Reading, fields_of
 from plant_server.faults import KINDS, PROFILES, UNITS, Fault, family_of
-from plant_server.faults.fault import FaultKeys
+from plant_server.faults.fault import keys_of_all, profiles_of
 from tools.config import Scenario, examine_text, load_scenario
 from tools.config.check import summarise
 from tools.config.reference import walk_classes
@@ -37,6 +37,7 @@ NAME = str(ROOT / "scenarios" / "s.yaml")  # where `extends` is looked for
 STRICT = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
 FAULT_KEYS = {
     "profile",
+    "latch",
     *(key for group in (PROFILES, *KINDS.values()) for cls in group.values() for key in fields_of(cls)),
 }
 
@@ -52,9 +53,10 @@ def make_fault_oracle() -> TypeAdapter[Any]:
     for family, kinds in KINDS.items():
         units = Literal[tuple(unit for unit in UNITS if family_of(unit) == family)]
         for kind, cls in kinds.items():
-            for name, profile in PROFILES.items() if cls.rises else [("step", None)]:
-                named = Literal[name] if cls.rises else None
-                keys = {**fields_of(FaultKeys), **(fields_of(profile) if profile else {}), **fields_of(cls)}
+            profiles = profiles_of(cls)
+            for name, profile in profiles.items() or [("step", None)]:
+                named = Literal[name] if profiles else None
+                keys = {**keys_of_all(family), **(fields_of(profile) if profile else {}), **fields_of(cls)}
                 fields: dict[str, Any] = {
                     key: (item, ... if default is NOTHING else default) for key, (item, default) in keys.items()
                 }

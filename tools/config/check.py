@@ -68,7 +68,7 @@ def list_timeline(resolved: Resolved) -> list[dict[str, Any]]:
     end_s = resolved.scenario.duration_s
     rows = []
     for index, fault in enumerate(resolved.scenario.faults):
-        until_s = end_s if fault.until_s is None else min(fault.until_s, end_s)
+        until_s = end_s if fault.ends_s is None else min(fault.ends_s, end_s)
         rows.append({"fault": index, "unit": fault.unit, "kind": fault.kind, "at_s": fault.at_s, "until_s": until_s})
     return sorted(rows, key=lambda row: (row["at_s"], row["fault"]))
 

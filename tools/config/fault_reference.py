@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from bus.settings import NOTHING, limits_of, strip_annotations
-from plant_server.faults import FAMILIES, KINDS, PROFILES, UNITS, family_of
+from plant_server.faults import FAMILIES, KINDS, UNITS, family_of
 from plant_server.faults.effects import Effect
-from plant_server.faults.fault import FaultKeys, magnitudes_of
+from plant_server.faults.fault import FaultKeys, keys_of_all, magnitudes_of, profiles_of
 from tools.config.comments import comments_of, summary_of
 
 PLANT_PAGE_BEGIN, PLANT_PAGE_END = "<!-- kinds of fault: begin, generated -->\n", "<!-- kinds of fault: end -->\n"
@@ -21,8 +21,11 @@ def list_variants() -> list[tuple[str, type[Effect]]]:
 
 def keys_of(cls: type[Effect]) -> list[tuple[type, str, Any, Any]]:
     """Class, key, type and default of everything that a fault of one kind takes beside unit and kind."""
-    sources: list[type] = [FaultKeys, *(PROFILES.values() if cls.rises else ()), cls]
-    found = [
+    sources: list[type] = [*profiles_of(cls).values(), cls]
+    found: list[tuple[type, str, Any, Any]] = [
+        (FaultKeys, name, kind, default) for name, (kind, default) in keys_of_all(cls.family).items()
+    ]
+    found += [
         (source, name, kind, default) for source in sources for name, (kind, default) in magnitudes_of(source).items()
     ]
     return [item for item in found if item[1] not in ("unit", "kind")]
@@ -40,8 +43,10 @@ def format_kinds() -> str:
             if default is NOTHING:
                 needs.append(f"`{name}`" + (f" {limits}" if limits else ""))
             else:
-                may.append(f"`{name}` ({comments[name]})")
-        meaning = summary_of(cls) + ("" if cls.rises else " (no rise)")
+                usual = "" if default is None else default if isinstance(default, str) else f"{default:.6g}"
+                said = "; ".join(word for word in (usual, limits, comments[name]) if word)
+                may.append(f"`{name}` ({said})" if said else f"`{name}`")
+        meaning = summary_of(cls) + ("" if cls.rises else " (no slope)" if cls.switches else " (no rise)")
         lines.append(f"| {family} | `{cls.kind}` | {', '.join(needs)} | {', '.join(may)} | {meaning} |")
     return "\n".join(line.replace("<", "&lt;") for line in lines) + "\n"
 

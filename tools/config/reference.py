@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from bus.settings import NOTHING, branches_of, fields_of, find_unit, limits_of, plain, strip_annotations
 from plant_server.faults import PROFILES, UNITS, Fault
-from plant_server.faults.fault import FaultKeys
+from plant_server.faults.fault import FaultKeys, magnitudes_of
 from tools.config.comments import comments_of, summary_of
 from tools.config.expect import SIGNAL_FUNCTIONS
 from tools.config.fault_reference import format_kinds
@@ -39,11 +39,12 @@ def format_reference() -> str:
 def format_catalogue() -> str:
     """Profiles and kinds of fault: the keys that a fault has beside those of every fault."""
     profiles = "".join(
-        f"| `{name}` | {', '.join(f'`{key}`' for key in fields_of(cls))} | {summary_of(cls)} |\n"
+        f"| `{name}` | {', '.join(f'`{key}`' for key in magnitudes_of(cls))} | {summary_of(cls)} |\n"
         for name, cls in PROFILES.items()
     )
     return (
-        "### Profiles of faults\n\n`profile` may be left out: a key of one profile alone says which; else it is `step`.\n\n"
+        "### Profiles of faults\n\n`profile` may be left out: it is the first of these that takes all the keys given; "
+        "without any it is `step`, or what is usual for the kind.\n\n"
         f"| `profile` | keys | how the fault comes on |\n|---|---|---|\n{profiles}\n"
         f"### Kinds of fault\n\nUnits: {', '.join(f'`{unit}`' for unit in UNITS)}.\n\n{format_kinds()}"
     )
@@ -100,7 +101,8 @@ def say_type(kind: Any) -> str:
     if dataclasses.is_dataclass(kind):
         return "mapping"
     if typing.get_origin(kind) is Literal:
-        return "one of " + ", ".join(f"`{word}`" for word in typing.get_args(kind))
+        words = [word if isinstance(word, str) else json.dumps(word) for word in typing.get_args(kind)]
+        return "one of " + ", ".join(f"`{word}`" for word in words)
     if typing.get_origin(kind) is tuple:
         return _say_list(typing.get_args(kind))
     word = {str: "text", float: "number", int: "whole number", bool: "`true` or `false`"}[kind]

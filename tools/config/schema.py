@@ -16,7 +16,8 @@ from typing import Any, Literal, Union
 from annotated_types import Ge, Gt, Le, Lt
 
 from bus.settings import NOTHING, fields_of, find_unit, plain, strip_annotations
-from plant_server.faults import PROFILES, Fault
+from plant_server.faults import Fault
+from plant_server.faults.fault import profiles_of
 from tools.config.comments import comments_of, summary_of
 from tools.config.fault_reference import UNITS_OF, keys_of, list_variants, update_plant_page
 from tools.config.reference import REFERENCE_FILE, ROOT, update_reference
@@ -80,8 +81,8 @@ def _describe_faults(definitions: dict[str, Any]) -> dict[str, Any]:
     for family, cls in list_variants():
         name = f"fault.{family}.{cls.kind}"
         properties: dict[str, Any] = {"unit": {"enum": list(UNITS_OF[family])}, "kind": {"const": cls.kind}}
-        if cls.rises:
-            properties["profile"] = {"enum": list(PROFILES)}
+        if profiles := profiles_of(cls):
+            properties["profile"] = {"enum": list(profiles)}
         properties |= {
             key: _describe_key(source, key, kind, default, definitions) for source, key, kind, default in keys_of(cls)
         }

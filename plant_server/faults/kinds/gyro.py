@@ -23,13 +23,15 @@ def _refuse_zero(rate_rad_s: float) -> str | None:
 class Constant(GyroEffect):
     """`rate_rad_s` is added to the rate"""
 
+    equation = "y + f"
+    seen_in = "Wang, Li & Ma 2010, first fault"
     rate_rad_s: RadS
 
     def disturb(self, sample: GyroSample, now: Acting) -> None:
         """Add a rate."""
         sample.shift_to(sample.rate_rad_s + now.level * self.rate_rad_s)
 
-    def explain_futile(self, plant: PlantConfig | None) -> str | None:
+    def explain_futile(self, plant: PlantConfig | None, unit: str) -> str | None:
         """Return why, when the rate is zero."""
         return _refuse_zero(self.rate_rad_s)
 
@@ -39,6 +41,9 @@ class Constant(GyroEffect):
 class Periodic(GyroEffect):
     """`rate_rad_s` sin(`frequency_rad_s` t) is added, t from the onset or absolute (`phase`)"""
 
+    equation = "y + f sin(w t)"
+    seen_in = "Wang, Li & Ma 2010, second fault"
+    failures = ((0, 8),)
     rate_rad_s: RadS  # amplitude
     frequency_rad_s: Annotated[RadS, Gt(0)]
     phase: Literal["onset", "absolute"] = "onset"  # where t starts: at the onset, or with the run
@@ -49,7 +54,7 @@ class Periodic(GyroEffect):
         size = self.rate_rad_s * math.sin(self.frequency_rad_s * (now.t_s - origin_s))
         sample.shift_to(sample.rate_rad_s + now.level * size)
 
-    def explain_futile(self, plant: PlantConfig | None) -> str | None:
+    def explain_futile(self, plant: PlantConfig | None, unit: str) -> str | None:
         """Return why, when the amplitude is zero."""
         return _refuse_zero(self.rate_rad_s)
 
@@ -59,6 +64,9 @@ class Periodic(GyroEffect):
 class Ramp(GyroEffect):
     """`slope_rad_s2` times the time since onset is added"""
 
+    equation = "y + k t"
+    seen_in = "drift of light source or coil"
+    failures = ((0, 8),)
     rises = False
     slope_rad_s2: Annotated[float, Unit("rad/s^2")]
 
@@ -66,7 +74,7 @@ class Ramp(GyroEffect):
         """Add what has grown since the onset."""
         sample.shift_to(sample.rate_rad_s + self.slope_rad_s2 * now.elapsed_s)
 
-    def explain_futile(self, plant: PlantConfig | None) -> str | None:
+    def explain_futile(self, plant: PlantConfig | None, unit: str) -> str | None:
         """Return why, when the slope is zero."""
         return "a slope of 0 has no effect; give slope_rad_s2 another value" if self.slope_rad_s2 == 0.0 else None
 
@@ -76,6 +84,9 @@ class Ramp(GyroEffect):
 class Stuck(GyroEffect):
     """the output does not move"""
 
+    equation = "y = constant"
+    seen_in = "hung converter"
+    failures = ((0, 2),)
     rate_rad_s: RadS | None = None  # where it stands; left out: at the last output before onset
 
     def disturb(self, sample: GyroSample, now: Acting) -> None:
@@ -91,6 +102,9 @@ class Stuck(GyroEffect):
 class Dead(GyroEffect):
     """no frames"""
 
+    equation = "rate frames"
+    seen_in = "supply or harness lost"
+    failures = ((0, 1),)
     rises = False
 
     def disturb(self, sample: GyroSample, now: Acting) -> None:
@@ -103,6 +117,8 @@ class Dead(GyroEffect):
 class Noise(GyroEffect):
     """the angle random walk is `factor` times as large"""
 
+    equation = "N of the angle random walk"
+    seen_in = "ageing light source"
     early = True  # a larger angle random walk is part of the noise
     factor: Annotated[float, Ge(0)]
 
@@ -112,7 +128,7 @@ class Noise(GyroEffect):
         sample.noise_gain *= 1.0 + now.level * (self.factor - 1.0)
         sample.rate_rad_s += (sample.noise_gain - before) * sample.white_rad_s
 
-    def explain_futile(self, plant: PlantConfig | None) -> str | None:
+    def explain_futile(self, plant: PlantConfig | None, unit: str) -> str | None:
         """Return why, when the noise stays what it is or there is none."""
         if self.factor == 1.0:
             return "noise by a factor of 1 has no effect; give another factor"
@@ -127,13 +143,16 @@ class Noise(GyroEffect):
 class Scale(GyroEffect):
     """the rate, as disturbed so far, is multiplied by 1 + `factor`"""
 
+    equation = "y (1 + s)"
+    seen_in = "loop gain drifted"
+    failures = ((0, 4),)
     factor: float
 
     def disturb(self, sample: GyroSample, now: Acting) -> None:
         """Scale the rate."""
         sample.shift_to(sample.rate_rad_s * (1.0 + now.level * self.factor))
 
-    def explain_futile(self, plant: PlantConfig | None) -> str | None:
+    def explain_futile(self, plant: PlantConfig | None, unit: str) -> str | None:
         """Return why, when the factor is zero."""
         return "a scale factor of 0 has no effect; give another factor" if self.factor == 0.0 else None
 
@@ -143,6 +162,9 @@ class Scale(GyroEffect):
 class Spikes(GyroEffect):
     """with `probability` per tick, +-`rate_rad_s` is added, sign at random"""
 
+    equation = "y + f now and then"
+    seen_in = "charged particles"
+    failures = ((0, 3),)
     draws = 2
     rate_rad_s: RadS
     probability: Probability
@@ -153,7 +175,7 @@ class Spikes(GyroEffect):
         if hit < now.level * self.probability:
             sample.shift_to(sample.rate_rad_s + (1.0 if sign < 0.5 else -1.0) * self.rate_rad_s)
 
-    def explain_futile(self, plant: PlantConfig | None) -> str | None:
+    def explain_futile(self, plant: PlantConfig | None, unit: str) -> str | None:
         """Return why, when the spikes have no size."""
         return _refuse_zero(self.rate_rad_s)
 
@@ -163,6 +185,9 @@ class Spikes(GyroEffect):
 class Intermittent(GyroEffect):
     """with `probability` per tick, no frame"""
 
+    equation = "rate frames"
+    seen_in = "loose connector"
+    failures = ((0, 7),)
     draws = 1
     probability: Probability
 

@@ -14,6 +14,9 @@ from plant_server.faults.effects import Acting, StarEffect, StarSample, register
 class Dropout(StarEffect):
     """with `probability` per frame, no frame"""
 
+    equation = "attitude frames"
+    seen_in = "blinded, or rebooting"
+    failures = ((6, 1), (6, 7))
     draws = 1
     probability: Annotated[float, Gt(0), Le(1)] = 1.0  # 1: every frame is lost
 
