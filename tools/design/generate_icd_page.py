@@ -59,6 +59,9 @@ def read_cycle(message: Any) -> str:
         "Tick": f"every tick ({message.cycle_time} ms at 100 Hz)",
         "Star": f"every star-tracker measurement ({message.cycle_time} ms at 10 Hz)",
         "Second": "once a second",
+        "Setpoint": f"every tick ({message.cycle_time} ms at 100 Hz) while RWi_CMD asks for its mode",
+        "Slow": "once a second by a wheel with a motor of its own",
+        "Request": "on request, one frame a tick at most",
     }[name]
 
 
