@@ -260,6 +260,10 @@ class LinkGroup:
                 link.tick = self._tick
             self._pending = 0
 
+    def stay_apart(self) -> None:
+        """Let the next frames be looked at one by one, whatever the links expect."""
+        self.expected = -1
+
     def join(self) -> None:
         """Find the counter that all links expect next: -1 while they do not expect the same."""
         counters = {link.expected for link in self._links}
