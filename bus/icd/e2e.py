@@ -81,7 +81,9 @@ class Pace:
         expected, accepted : of the link before this frame; those accepted since the last look came in sequence
         """
         since = accepted - self._frames
-        if since:
+        if not since and counter == self._counter:
+            advance = 0  # it stands: a sender that is stuck, where two would have moved it
+        elif since:
             advance = _step(self._counter, expected - since) + since - 1 + _step(expected - 1, counter)
         else:
             advance = _step(self._counter, counter)

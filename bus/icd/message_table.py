@@ -212,7 +212,7 @@ ROWS = (
         ("DRIVER_TEMP", 32, 16, True, 0.01, -327.68, 327.67, "degC", ()),
         ("BUS_VOLTAGE", 48, 16, False, 1, 0, 65535, "mV", ()),
     )),
-    ((768, "RW1_CTRL", "FSW", ("RW1",), "request", None, 768), (
+    ((768, "RW1_CTRL", "FSW", ("RW1",), "request", 0, 768), (
         ("CHECKSUM", 0, 8, False, 1, 0, 255, "", ()),
         ("COUNTER", 8, 4, False, 1, 0, 15, "", ()),
         ("ACTION", 12, 4, False, 1, 0, 15, "",
@@ -220,7 +220,7 @@ ROWS = (
         ("MASK", 16, 16, False, 1, 0, 65535, "", ()),
         ("SYNC_CNT", 32, 8, False, 1, 0, 255, "", ()),
     )),
-    ((769, "RW2_CTRL", "FSW", ("RW2",), "request", None, 769), (
+    ((769, "RW2_CTRL", "FSW", ("RW2",), "request", 0, 769), (
         ("CHECKSUM", 0, 8, False, 1, 0, 255, "", ()),
         ("COUNTER", 8, 4, False, 1, 0, 15, "", ()),
         ("ACTION", 12, 4, False, 1, 0, 15, "",
@@ -228,7 +228,7 @@ ROWS = (
         ("MASK", 16, 16, False, 1, 0, 65535, "", ()),
         ("SYNC_CNT", 32, 8, False, 1, 0, 255, "", ()),
     )),
-    ((770, "RW3_CTRL", "FSW", ("RW3",), "request", None, 770), (
+    ((770, "RW3_CTRL", "FSW", ("RW3",), "request", 0, 770), (
         ("CHECKSUM", 0, 8, False, 1, 0, 255, "", ()),
         ("COUNTER", 8, 4, False, 1, 0, 15, "", ()),
         ("ACTION", 12, 4, False, 1, 0, 15, "",
@@ -236,7 +236,7 @@ ROWS = (
         ("MASK", 16, 16, False, 1, 0, 65535, "", ()),
         ("SYNC_CNT", 32, 8, False, 1, 0, 255, "", ()),
     )),
-    ((771, "RW4_CTRL", "FSW", ("RW4",), "request", None, 771), (
+    ((771, "RW4_CTRL", "FSW", ("RW4",), "request", 0, 771), (
         ("CHECKSUM", 0, 8, False, 1, 0, 255, "", ()),
         ("COUNTER", 8, 4, False, 1, 0, 15, "", ()),
         ("ACTION", 12, 4, False, 1, 0, 15, "",

@@ -40,7 +40,7 @@ class Message:
     sender: str
     receivers: tuple[str, ...]
     sent_per: SentPer
-    cycle_time_ms: int  # with ticks at 100 Hz and the star tracker at 10 Hz; the scenario sets the real ones
+    cycle_time_ms: int  # with ticks at 100 Hz and the star tracker at 10 Hz, 0: none; the scenario sets the real ones
     data_id: int
     signals: tuple[Signal, ...]
 
