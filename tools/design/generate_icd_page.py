@@ -40,10 +40,10 @@ Ids are shaped like CANopen's (SYNC 0x080, TIME 0x100, heartbeat 0x700 + node); 
 
 ## How a wheel is told what to do
 
-RWi_CMD comes on every tick and names the mode. In mode torque its own TORQUE counts. In modes current and speed the setpoint
-comes in a frame of its own, RWi_CURRENT_CMD or RWi_SPEED_CMD, beside it on every tick, and TORQUE is not looked at. So one
-frame decides the mode, and a wheel that hears no RWi_CMD, or none of the setpoints that it is told to follow, has no command:
-it coasts, says so in STATUS, and latches it. Only wheels with a motor of their own know current and speed.
+RWi_CMD comes on every tick and names the mode. In mode torque its own TORQUE counts. In modes current and speed the
+setpoint comes in a frame of its own, RWi_CURRENT_CMD or RWi_SPEED_CMD, beside it on every tick, and TORQUE is not looked
+at. So one frame decides the mode, and a wheel that hears no RWi_CMD, or none of the setpoints that it is told to follow,
+has no command: it coasts, says so in STATUS, and latches it. Only wheels with a motor of their own know current and speed.
 
 RWi_CTRL asks for something once: to clear what is latched, a reset, power off or on. It is not answered; what became of it
 is seen in RWi_POWER (LATCH, UPTIME). A wheel of the ideal kind has neither supply nor latch and sends no RWi_TEMP and no
