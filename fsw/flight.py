@@ -6,29 +6,58 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Final
+from typing import Any, Final, NamedTuple
 
 from bus.attitude import IDENTITY
 from bus.commands import Command
 from bus.errors import ConfigError
 from bus.icd.heartbeat import count_heartbeat_ticks
 from bus.linear import ZERO3, add, cross, subtract, times
-from bus.units import Vec3
+from bus.units import Vec3, Vec4
 from fsw import allocators, controllers, estimation, gyro_fdi, observers, wheel_health
 from fsw.config import FswConfig
 from fsw.drive import REST, command_wheels
 from fsw.executive import ExecutiveCounters
+from fsw.families import NO_INTERNALS
 from fsw.guidance import Guidance, timeline
 from fsw.guidance.guidance import feed_forward
 from fsw.inputs import Inputs
 from fsw.modes import POINT, STANDBY, Mode, ModeManager
 from fsw.outputs import Outputs
 from fsw.rate_mean import RateMean
-from fsw.records import HEALTHY, Allocation, Detection, Estimate, PointingError, Sensors, WheelCommands, WheelHealth
+from fsw.records import (
+    HEALTHY,
+    Allocation,
+    Detection,
+    Estimate,
+    Flags4,
+    PointingError,
+    Sensors,
+    WheelCommands,
+    WheelHealth,
+    WheelPower,
+)
 from fsw.schedule import flight_schedule
 from fsw.vehicle import Vehicle
 
 DEG_PER_RAD: Final = 180.0 / math.pi
+
+
+class WheelPowerInternals(NamedTuple):
+    """Slow telemetry of the four wheels as last heard."""
+
+    motor_c: Vec4  # [degC]
+    driver_c: Vec4
+    bus_v: Vec4
+    bus_current_a: Vec4
+    latch: tuple[int, int, int, int]  # bits of bus/wheels.py
+    uptime_s: Vec4
+    age_s: Vec4  # of the older half; -1: not heard yet
+    valid: Flags4
+
+
+def _age(power: WheelPower, tick: int, tick_s: float) -> float:
+    return -1.0 if min(power.temp_tick, power.power_tick) < 0 else power.count_age_ticks(tick) * tick_s
 
 
 class Flight:
@@ -104,6 +133,25 @@ class Flight:
                 self._control_s if ticks == self._control_ticks else ticks * self._tick_s, mode, sensors, estimate
             )
         return self.outputs.commands(tick, inputs.plant_tick & 0xFF, self.wheel_commands, mode, self.executive.slips)
+
+    @property
+    def wheel_power(self) -> tuple[Any, ...]:
+        """What the wheels report of their supply and themselves, for telemetry; nothing where none has a motor."""
+        if not self.vehicle.has_motors:
+            return NO_INTERNALS
+        sensors = self.inputs.sensors
+        a, b, c, d = sensors.powers
+        tick_s, tick = self._tick_s, sensors.tick
+        return WheelPowerInternals(
+            (a.motor_c, b.motor_c, c.motor_c, d.motor_c),
+            (a.driver_c, b.driver_c, c.driver_c, d.driver_c),
+            (a.bus_v, b.bus_v, c.bus_v, d.bus_v),
+            (a.bus_current_a, b.bus_current_a, c.bus_current_a, d.bus_current_a),
+            (a.latch, b.latch, c.latch, d.latch),
+            (a.uptime_s, b.uptime_s, c.uptime_s, d.uptime_s),
+            (_age(a, tick, tick_s), _age(b, tick, tick_s), _age(c, tick, tick_s), _age(d, tick, tick_s)),
+            (a.valid, b.valid, c.valid, d.valid),
+        )
 
     def check(self, command: Command, tick: int) -> str:
         """Why a command cannot be obeyed, in words; empty where it can."""

@@ -9,6 +9,7 @@ from typing import Any, Final
 from bus.commands import Command
 from bus.native import COMPILED
 from bus.telemetry.link import Link, Row, TickPacker, announce_topics, pack_input, stamp
+from bus.wheels import ACTIONS, CLEAR_LATCH
 from fsw.flight import Flight
 from fsw.modes import Mode
 from fsw.telemetry import (
@@ -40,6 +41,7 @@ class FlightLog:
         self.link = link
         self._tick_ns = tick_ns
         self._mode_changes = 0
+        self._requests_said = 0
         self._rivals_said: set[int] = set()
         self._waited_for, self._since_tick, self._said = "", 0, False
         self._every_tick = TickPacker(TICK_TOPICS, FIRST_CHANNEL)
@@ -61,6 +63,8 @@ class FlightLog:
         flight, link = self._flight, self.link
         t_ns = tick * self._tick_ns
         self._say_mode(tick, t_ns)
+        if flight.outputs.requests_sent != self._requests_said:
+            self._say_request(t_ns)
         if flight.control_ran:
             self._say_rivals(t_ns)
         counters = flight.executive
@@ -121,6 +125,14 @@ class FlightLog:
                 if can_id not in self._rivals_said:
                     self._rivals_said.add(can_id)
                     self.link.event(t_ns, "warning", "fsw", f"two senders of 0x{can_id:03X} on the bus")
+
+    def _say_request(self, t_ns: int) -> None:
+        """A line for every request to a wheel."""
+        outputs = self._flight.outputs
+        self._requests_said = outputs.requests_sent
+        wheel, action, mask = outputs.last_request
+        bits = f" 0x{mask:04X}" if action == CLEAR_LATCH else ""
+        self.link.event(t_ns, "info", "fsw", f"wheel.{wheel + 1} asked to {ACTIONS[action]}{bits}")
 
     def _say_mode(self, tick: int, t_ns: int) -> None:
         """A line for every change of mode, and one for what a mode has been waiting for for WAIT_S."""

@@ -21,7 +21,7 @@ from bus.icd.e2e import Link, LinkGroup, part_group
 from bus.icd.heartbeat import count_heartbeat_ticks
 from bus.units import Vec4
 from bus.wire.frames import FRAME
-from fsw.records import ALL_AXES, Sensors
+from fsw.records import ALL_AXES, NOT_HEARD, Sensors
 from fsw.settings import ModesConfig
 from fsw.vehicle import Vehicle
 
@@ -35,13 +35,18 @@ STAR_B_ID: Final = 0x1B1
 SYNC_ID: Final = 0x080
 TIME_ID: Final = 0x100
 HEARTBEAT_PLANT_ID: Final = 0x701
-SLOW_IDS = (TIME_ID, HEARTBEAT_PLANT_ID)
+TEMP_IDS = (0x290, 0x291, 0x292, 0x293)
+POWER_IDS = (0x390, 0x391, 0x392, 0x393)
+SLOW_IDS = (TIME_ID, HEARTBEAT_PLANT_ID, *TEMP_IDS, *POWER_IDS)
 GROUP_IDS = (*WHEEL_IDS, *FOG_IDS, SYNC_ID)  # the frames of every tick, in the order in which the plant sends them
 
 STATUS_OK: Final = 0
+AGE_WRAPS: Final = 128  # an age from here on is that of a frame ahead of its tick
 STAR_NOT_VALID: Final = 15
+SLOW_HOLD_PERIODS: Final = 3  # slow telemetry of a wheel is stale when the third frame in a row is missing
 QUATERNION_NORM_TOLERANCE: Final = 0.01  # a pair of halves further from unit norm than this is not an attitude
-NEVER: Final = -(10**9)  # tick of a unit that has not been heard yet
+NEVER: Final = NOT_HEARD
+AT_NO_TICK: Final = 1 << 62
 
 
 @dataclass(slots=True)
@@ -52,6 +57,7 @@ class InputCounters:
     refused: int = 0  # length, checksum or alive counter wrong
     unit_fault: int = 0  # well formed, but the unit itself says that its value is not good
     implausible: int = 0  # well formed, but not a possible value
+    too_old: int = 0  # telemetry of a wheel whose SYNC_CNT is older than a value may be held
 
 
 class Inputs:
@@ -62,6 +68,7 @@ class Inputs:
         self._tick_s = tick_s
         self._hold_ticks = modes.stale_after_ticks
         self._star_hold_s = modes.star_stale_after_s
+        self._slow_hold_ticks = SLOW_HOLD_PERIODS * count_heartbeat_ticks(tick_s)
         self._rotor_inertia_kgm2 = vehicle.wheel_inertia_kgm2
         a, b, c, d = vehicle.wheel_max_speed_rad_s
         self._top_speed_rad_s: Vec4 = (2.0 * a, 2.0 * b, 2.0 * c, 2.0 * d)
@@ -73,6 +80,8 @@ class Inputs:
         handlers |= {can_id: self._make_fog(i) for i, can_id in enumerate(FOG_IDS)}
         handlers |= {can_id: self._make_wheel(i) for i, can_id in enumerate(WHEEL_IDS)}
         handlers |= {STAR_A_ID: self._on_star_a, STAR_B_ID: self._on_star_b}
+        handlers |= {can_id: self._make_temp(i) for i, can_id in enumerate(TEMP_IDS)}
+        handlers |= {can_id: self._make_power(i) for i, can_id in enumerate(POWER_IDS)}
         self._handlers = handlers
         self.reset()
 
@@ -92,6 +101,7 @@ class Inputs:
         self._all_tick = NEVER  # on which every gyro axis and wheel spoke
         self._rate_tick = [NEVER, NEVER, NEVER]  # on which each spoke by itself
         self._wheel_tick = [NEVER, NEVER, NEVER, NEVER]
+        self._slow_due = AT_NO_TICK  # tick on which some wheel's slow telemetry may have become stale
         self._star_a: tuple[int, int, float, float] | None = None
         self._q_ib = IDENTITY
         self._q_tick = NEVER  # tick at which the attitude was measured
@@ -121,8 +131,13 @@ class Inputs:
         else:
             self._group.part()
             self._take(batch)
-            self._group.join()
+            if self._is_in_step(tick):
+                self._group.join()
+            else:
+                self._group.stay_apart()
             self._judge_age(tick)
+        if tick >= self._slow_due:
+            self._judge_slow(tick)
         sensors.tick = tick
         sensors.t_s = tick * self._tick_s
         sensors.star_new = self._q_new
@@ -159,6 +174,24 @@ class Inputs:
         if between:
             self._take(between)
         return True
+
+    def _is_in_step(self, tick: int) -> bool:
+        """Whether all that speak on every tick have said something of this one.
+
+        A wheel whose frames are late by a whole turn of the alive counter has the counter of the others: only its SYNC_CNT
+        tells, which `_take_usual` does not look at.
+        """
+        return min(self._wheel_tick) == tick and min(self._rate_tick) == tick
+
+    def _judge_slow(self, tick: int) -> None:
+        """Mark slow telemetry that has become stale, and find when the next can be."""
+        self._slow_due = AT_NO_TICK
+        for power in self.sensors.powers:
+            if power.valid:
+                stale_tick = min(power.temp_tick, power.power_tick) + self._slow_hold_ticks
+                power.valid = tick < stale_tick
+                if power.valid:
+                    self._slow_due = min(self._slow_due, stale_tick)
 
     def _judge_age(self, tick: int) -> None:
         """Mark what has not been heard for too long."""
@@ -218,15 +251,52 @@ class Inputs:
             if not -top <= speed_rad_s <= top:
                 self.counters.implausible += 1
                 return
+            age_ticks = self._find_age(int(values[4]))
+            if age_ticks > self._hold_ticks:
+                self.counters.too_old += 1
+                return
             reading = self.sensors.wheels[wheel]
             reading.speed_rad_s = speed_rad_s
             reading.h_nms = speed_rad_s * self._rotor_inertia_kgm2[wheel]
             reading.current_a = values[3] * 1e-3
             reading.status = int(values[1])
             reading.valid = True
-            self._wheel_tick[wheel] = self._tick
+            self._wheel_tick[wheel] = self._tick - age_ticks
 
         return on_wheel
+
+    def _find_age(self, sync_cnt: int) -> int:
+        """Return how many ticks ago a frame was due, by its SYNC_CNT; 0 before the first SYNC.
+
+        The frames of a tick come ahead of its SYNC: those of the next one are the newest that there can be.
+        """
+        age_ticks = (self.plant_tick + 1 - sync_cnt) & 0xFF
+        return age_ticks if self.plant_tick >= 0 and age_ticks < AGE_WRAPS else 0
+
+    def _make_temp(self, wheel: int) -> Handler:
+        def on_temp(values: Values) -> None:
+            power = self.sensors.powers[wheel]
+            power.motor_c, power.driver_c, power.bus_v = values[2], values[3], values[4] * 1e-3
+            power.temp_tick = self._tick
+            self._note_slow(wheel)
+
+        return on_temp
+
+    def _make_power(self, wheel: int) -> Handler:
+        def on_power(values: Values) -> None:
+            power = self.sensors.powers[wheel]
+            power.bus_current_a, power.latch, power.uptime_s = values[2] * 1e-3, int(values[3]), float(values[4])
+            power.power_tick = self._tick
+            self._note_slow(wheel)
+
+        return on_power
+
+    def _note_slow(self, wheel: int) -> None:
+        """Mark a wheel's slow telemetry valid where both halves are fresh."""
+        power = self.sensors.powers[wheel]
+        power.valid = power.count_age_ticks(self._tick) < self._slow_hold_ticks
+        if power.valid:
+            self._slow_due = min(self._slow_due, self._tick + 1)
 
     def _on_star_a(self, values: Values) -> None:
         self._star_a = values  # type: ignore[assignment]

@@ -1,8 +1,8 @@
 """What one stage of the flight cycle hands to the next.
 
 Vectors are plain tuples of floats in body axes unless named otherwise. A record that a cycle makes is not changed any more
-once it is handed on, but for `Sensors` and its `WheelReading`s: there is one of each, brought up to date every cycle, so
-that whoever needs a value of an earlier cycle keeps the value and not the record.
+once it is handed on, but for `Sensors` with its `WheelReading`s and `WheelPower`s: there is one of each, brought up to date
+every cycle, so that whoever needs a value of an earlier cycle keeps the value and not the record.
 """
 
 from __future__ import annotations
@@ -42,12 +42,42 @@ def four_readings() -> FourReadings:
     return (WheelReading(), WheelReading(), WheelReading(), WheelReading())
 
 
+NOT_HEARD = -(10**9)  # tick of a frame that has not come yet
+
+
+class WheelPower(Record):
+    """What one wheel reports once a second of its supply and itself, where it does; the last good values."""
+
+    __slots__ = (
+        "bus_current_a", "bus_v", "driver_c", "latch", "motor_c", "power_tick", "temp_tick", "uptime_s", "valid",
+    )  # fmt: skip
+
+    def __init__(self) -> None:
+        self.motor_c = 0.0  # temperature of the motor [degC]
+        self.driver_c = 0.0  # of the driver electronics [degC]
+        self.bus_v = 0.0  # voltage of the supply [V]
+        self.bus_current_a = 0.0  # drawn from it [A]
+        self.latch = 0  # bits of bus/wheels.py that the wheel has set and that are not cleared
+        self.uptime_s = 0.0  # since it was last reset or switched on [s]
+        self.temp_tick = NOT_HEARD  # on which temperatures and voltage came,
+        self.power_tick = NOT_HEARD  # and current, latch and uptime
+        self.valid = False  # both have come lately
+
+    def count_age_ticks(self, tick: int) -> int:
+        """Return the age of the older half at a tick [ticks]; of a half that has not come yet, huge."""
+        return tick - min(self.temp_tick, self.power_tick)
+
+
+FourPowers = tuple[WheelPower, WheelPower, WheelPower, WheelPower]
+
+
 class Sensors(Record):
     """What the validated bus traffic up to one tick says. A stale or failed unit is marked, never left out."""
 
     __slots__ = (
         "gyro_valid",
         "omega_meas_b_rad_s",
+        "powers",
         "q_ib_meas",
         "star_age_s",
         "star_new",
@@ -79,6 +109,7 @@ class Sensors(Record):
         self.star_valid = star_valid  # False once the last one is older than the staleness limit
         self.star_age_s = star_age_s  # age of q_ib_meas at this tick (0.0: measured at this tick)
         self.wheels: FourReadings = four_readings() if wheels is None else wheels
+        self.powers: FourPowers = (WheelPower(), WheelPower(), WheelPower(), WheelPower())
 
     def wheel_momenta(self) -> Vec4:
         """Momentum of each wheel relative to the body [N m s]; last good value where not valid."""

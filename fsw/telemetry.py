@@ -2,7 +2,8 @@
 
 One record a cycle: /fsw/attitude, /fsw/fdi, /fsw/timing, and /fsw/input with what the cycle was given. One record a control
 period, on the ticks on which control ran: /fsw/guidance, /fsw/control, /fsw/observer, /fsw/wheel_health, /fsw/executive.
-With them, unless the executive sheds them, what the chosen algorithms hold inside: /fsw/law, /fsw/detector, ...
+With them, unless the executive sheds them, what the chosen algorithms hold inside: /fsw/law, /fsw/detector, ..., and
+/fsw/wheel_power where a wheel has a motor of its own.
 
 A topic stands here twice: its layout, and its line in `read_tick` or `read_control`, in the same order. The log and a
 bench in Python both have their values from there.
@@ -161,7 +162,9 @@ def read_control(flight: Flight) -> tuple[Any, ...]:
 
 
 def read_internals(flight: Flight) -> dict[str, tuple[Any, ...]]:
-    """What the algorithms of a flight hold inside, by the name of the topic that carries it; named tuples."""
+    """What the algorithms of a flight hold inside, and what wheels with a motor report of themselves; named tuples by the
+    name of the topic that carries each.
+    """
     return {
         "/fsw/law": flight.controller.internals,
         "/fsw/detector": flight.detector.internals,
@@ -169,6 +172,7 @@ def read_internals(flight: Flight) -> dict[str, tuple[Any, ...]]:
         "/fsw/observer_state": flight.observer.internals,
         "/fsw/wheel_state": flight.wheel_health.internals,
         "/fsw/allocator": flight.allocator.internals,
+        "/fsw/wheel_power": flight.wheel_power,
     }
 
 

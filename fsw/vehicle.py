@@ -15,6 +15,7 @@ class Vehicle:
     """The satellite, ready to compute with. Shared by all algorithms of a flight; nothing in it changes."""
 
     __slots__ = (
+        "has_motors",
         "inertia_kgm2",
         "inverse_inertia",
         "wheel_inertia_kgm2",
@@ -29,6 +30,8 @@ class Vehicle:
         self.inverse_inertia: Mat3 = invert_inertia(config.inertia_kgm2)
         self.wheel_momentum = config.wheel_momentum  # whether the wheels' momentum is in the gyroscopic term
         a, b, c, d = config.wheels or _four_alike(config)
+        # whether any wheel is known to have a motor of its own: such a wheel sends slow telemetry
+        self.has_motors = any(getattr(wheel, "motor", None) is not None for wheel in (a, b, c, d))
         self.wheel_max_speed_rad_s: Vec4 = (a.max_speed_rad_s, b.max_speed_rad_s, c.max_speed_rad_s, d.max_speed_rad_s)
         self.wheel_inertia_kgm2: Vec4 = (a.inertia_kgm2, b.inertia_kgm2, c.inertia_kgm2, d.inertia_kgm2)
         self.wheels = WheelGeometry(

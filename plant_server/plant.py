@@ -13,10 +13,11 @@ from bus.errors import ConfigError
 from bus.linear import ZERO3, ZERO4, scale
 from bus.record import Record
 from bus.units import DEG, Mat3, Vec3, Vec4
+from bus.wheels import ALL_BITS
 from plant_server.config import PlantConfig
 from plant_server.dynamics import RigidBody
 from plant_server.environment import Environment
-from plant_server.faults import Fault, FaultEvent, FaultTimeline, ListedFault, check_faults
+from plant_server.faults import WHEELS, Fault, FaultEvent, FaultTimeline, ListedFault, check_faults
 from plant_server.faults.timeline import format_path
 from plant_server.gyro.triad import Gyro
 from plant_server.star_tracker import StarFrame, StarTracker
@@ -120,8 +121,8 @@ class Plant:
     """Truth model of one spacecraft."""
 
     __slots__ = (
-        "_body", "_environment", "_ext_b_nm", "_gyro", "_seconds", "_star", "_step", "_steps_per_tick", "_tau_b_nm",
-        "_tau_rw_nm", "_tick_s", "_timeline", "_turn_b_rad", "_wheels", "config", "tick",
+        "_body", "_environment", "_ext_b_nm", "_gyro", "_has_no_power", "_seconds", "_star", "_step", "_steps_per_tick",
+        "_tau_b_nm", "_tau_rw_nm", "_tick_s", "_timeline", "_turn_b_rad", "_wheels", "config", "tick",
     )  # fmt: skip
 
     def __init__(self, config: PlantConfig, faults: tuple[Fault, ...], tick_s: float, seed: int) -> None:
@@ -149,6 +150,7 @@ class Plant:
         self._body = RigidBody(
             inertia, config.body.attitude_q, omega, self._wheels.h_b_nms, self._seconds, config.body.wheel_gyroscopic
         )
+        self._has_no_power = [False, False, False, False]  # which wheels have been switched off
         self._environment = Environment(config.torques, self._wheels.add_rotors(inertia))
         self._gyro = Gyro(config.gyro, timeline, tick_s, seed)
         self._star = StarTracker(config.star_tracker, timeline, tick_s, seed)
@@ -212,14 +214,18 @@ class Plant:
 
     # -- moving ----------------------------------------------------------------------------------------------------
 
-    def step(self, tau_rw_cmd_nm: Sequence[float | None]) -> None:
+    def step(self, tau_rw_cmd_nm: Sequence[float | None], modes: Status4 | None = None) -> None:
         """Advance one tick with these torque commands in effect.
 
         tau_rw_cmd_nm : torque each wheel is to put on the body about its axis [N m], shape (4,); None: it has no
                         command, gives no motor torque and reports so
+        modes         : where some wheel is told a current or a speed in place of it: see `WheelBank.receive_modes`
         """
         wheels = self._wheels
-        wheels.receive(tau_rw_cmd_nm)
+        if modes is None:
+            wheels.receive(tau_rw_cmd_nm)
+        else:
+            wheels.receive_modes(modes, tau_rw_cmd_nm)
         if self._steps_per_tick == 1:
             self._ext_b_nm = self._advance()
             self._turn_b_rad = self._body.turn_b_rad
@@ -259,6 +265,42 @@ class Plant:
         self._tau_rw_nm = (t1 / count, t2 / count, t3 / count, t4 / count)
         self._tau_b_nm = (bx / count, by / count, bz / count)
         self._ext_b_nm = (ex / count, ey / count, ez / count)
+
+    # -- what is asked of a wheel beside its commands --------------------------------------------------------------
+
+    @property
+    def wheels(self) -> WheelBank:
+        """The wheels, for what they report beside the samples."""
+        return self._wheels
+
+    def clear_latch(self, wheel: int, mask: int) -> None:
+        """Clear these bits of what a wheel has latched."""
+        self._wheels.clear_latch(wheel, mask)
+
+    def reset_wheel(self, wheel: int) -> None:
+        """Reset a wheel's electronics: nothing stays latched, and faults that last until a reset end."""
+        self._wheels.clear_latch(wheel, ALL_BITS)
+        self._recover_wheel(wheel, "reset_unit")
+
+    def set_wheel_power(self, wheel: int, on: bool) -> None:
+        """Switch a wheel's power; faults that last until a power cycle end when it comes back."""
+        self._wheels.set_power(wheel, on)
+        if on and self._has_no_power[wheel]:
+            self._recover_wheel(wheel, "power_cycle_unit")
+        self._has_no_power[wheel] = not on
+
+    def power_cycle_wheel(self, wheel: int) -> None:
+        """Switch a wheel's power off and on again."""
+        self._has_no_power[wheel] = False
+        self._wheels.power_cycle(wheel)
+        self._recover_wheel(wheel, "power_cycle_unit")
+
+    def _recover_wheel(self, wheel: int, way: str) -> None:
+        """End what ends in this way, a method of the timeline that takes the unit and the step."""
+        recover = getattr(self._timeline, way, None)
+        if recover is not None:
+            recover(WHEELS[wheel], self._step)
+            self._wheels.look_again()
 
     # -- faults ----------------------------------------------------------------------------------------------------
 

@@ -39,10 +39,16 @@ _bits = int.from_bytes
 
 _pack_BBIx = Struct("<BBIx").pack
 _unpack_BBIx = Struct("<BBBIx").unpack
+_pack_BHBxxx = Struct("<BHBxxx").pack
+_unpack_BHBxxx = Struct("<BBHBxxx").unpack
+_pack_BHHH = Struct("<BHHH").pack
+_unpack_BHHH = Struct("<BBHHH").unpack
 _pack_BIH = Struct("<BIH").pack
 _unpack_BIH = Struct("<BBIH").unpack
 _pack_BIxx = Struct("<BIxx").pack
 _unpack_BIxx = Struct("<BBIxx").unpack
+_pack_BhhH = Struct("<BhhH").pack
+_unpack_BhhH = Struct("<BBhhH").unpack
 _pack_BiBx = Struct("<BiBx").pack
 _unpack_BiBx = Struct("<BBiBx").unpack
 _pack_iHb = Struct("<iHb").pack
@@ -57,6 +63,14 @@ _HEAD_RW1_CMD = tuple(_heads(0x110, 8, byte) for byte in range(256))
 _HEAD_RW2_CMD = tuple(_heads(0x111, 8, byte) for byte in range(256))
 _HEAD_RW3_CMD = tuple(_heads(0x112, 8, byte) for byte in range(256))
 _HEAD_RW4_CMD = tuple(_heads(0x113, 8, byte) for byte in range(256))
+_HEAD_RW1_CURRENT_CMD = tuple(_heads(0x120, 8, byte) for byte in range(256))
+_HEAD_RW2_CURRENT_CMD = tuple(_heads(0x121, 8, byte) for byte in range(256))
+_HEAD_RW3_CURRENT_CMD = tuple(_heads(0x122, 8, byte) for byte in range(256))
+_HEAD_RW4_CURRENT_CMD = tuple(_heads(0x123, 8, byte) for byte in range(256))
+_HEAD_RW1_SPEED_CMD = tuple(_heads(0x130, 8, byte) for byte in range(256))
+_HEAD_RW2_SPEED_CMD = tuple(_heads(0x131, 8, byte) for byte in range(256))
+_HEAD_RW3_SPEED_CMD = tuple(_heads(0x132, 8, byte) for byte in range(256))
+_HEAD_RW4_SPEED_CMD = tuple(_heads(0x133, 8, byte) for byte in range(256))
 _HEAD_RW1_TLM = tuple(_heads(0x190, 8, byte) for byte in range(256))
 _HEAD_RW2_TLM = tuple(_heads(0x191, 8, byte) for byte in range(256))
 _HEAD_RW3_TLM = tuple(_heads(0x192, 8, byte) for byte in range(256))
@@ -66,6 +80,18 @@ _HEAD_FOGY_RATE = tuple(_heads(0x1A1, 8, byte) for byte in range(256))
 _HEAD_FOGZ_RATE = tuple(_heads(0x1A2, 8, byte) for byte in range(256))
 _HEAD_STR_QA = tuple(_heads(0x1B0, 8, byte) for byte in range(256))
 _HEAD_STR_QB = tuple(_heads(0x1B1, 8, byte) for byte in range(256))
+_HEAD_RW1_TEMP = tuple(_heads(0x290, 8, byte) for byte in range(256))
+_HEAD_RW2_TEMP = tuple(_heads(0x291, 8, byte) for byte in range(256))
+_HEAD_RW3_TEMP = tuple(_heads(0x292, 8, byte) for byte in range(256))
+_HEAD_RW4_TEMP = tuple(_heads(0x293, 8, byte) for byte in range(256))
+_HEAD_RW1_CTRL = tuple(_heads(0x300, 8, byte) for byte in range(256))
+_HEAD_RW2_CTRL = tuple(_heads(0x301, 8, byte) for byte in range(256))
+_HEAD_RW3_CTRL = tuple(_heads(0x302, 8, byte) for byte in range(256))
+_HEAD_RW4_CTRL = tuple(_heads(0x303, 8, byte) for byte in range(256))
+_HEAD_RW1_POWER = tuple(_heads(0x390, 8, byte) for byte in range(256))
+_HEAD_RW2_POWER = tuple(_heads(0x391, 8, byte) for byte in range(256))
+_HEAD_RW3_POWER = tuple(_heads(0x392, 8, byte) for byte in range(256))
+_HEAD_RW4_POWER = tuple(_heads(0x393, 8, byte) for byte in range(256))
 _HEAD_HEARTBEAT_PLANT = tuple(_heads(0x701, 8, byte) for byte in range(256))
 _HEAD_HEARTBEAT_FSW = tuple(_heads(0x702, 8, byte) for byte in range(256))
 
@@ -225,6 +251,174 @@ def decode_RW4_CMD(data: bytes) -> tuple[int, int, float, int] | None:
         return None
     counter, mode = _SPLIT[nibbles]
     return counter, mode, torque_nm * 1e-07, sync_cnt
+
+
+def encode_RW1_CURRENT_CMD(counter: int, reserved: int, current_a: float, sync_cnt: int) -> bytes:
+    """Frame 0x120 as a 16-byte can_frame."""
+    try:
+        data = _pack_BiBx(_NIBBLES[reserved][counter], round(current_a / 1e-06), sync_cnt)
+    except _OUT_OF_RANGE:
+        return _saturate(0x120, counter, reserved, current_a, sync_cnt)
+    return _HEAD_RW1_CURRENT_CMD[_crc(data, 0xD6)] + data
+
+
+def decode_RW1_CURRENT_CMD(data: bytes) -> tuple[int, int, float, int] | None:
+    """(counter, reserved, current_a, sync_cnt) of frame 0x120."""
+    try:
+        checksum, nibbles, current_a, sync_cnt = _unpack_BiBx(data)
+    except error:
+        return None
+    if _crc(data, 0xBD) != RESIDUES[checksum]:
+        return None
+    counter, reserved = _SPLIT[nibbles]
+    return counter, reserved, current_a * 1e-06, sync_cnt
+
+
+def encode_RW2_CURRENT_CMD(counter: int, reserved: int, current_a: float, sync_cnt: int) -> bytes:
+    """Frame 0x121 as a 16-byte can_frame."""
+    try:
+        data = _pack_BiBx(_NIBBLES[reserved][counter], round(current_a / 1e-06), sync_cnt)
+    except _OUT_OF_RANGE:
+        return _saturate(0x121, counter, reserved, current_a, sync_cnt)
+    return _HEAD_RW2_CURRENT_CMD[_crc(data, 0x9A)] + data
+
+
+def decode_RW2_CURRENT_CMD(data: bytes) -> tuple[int, int, float, int] | None:
+    """(counter, reserved, current_a, sync_cnt) of frame 0x121."""
+    try:
+        checksum, nibbles, current_a, sync_cnt = _unpack_BiBx(data)
+    except error:
+        return None
+    if _crc(data, 0xA0) != RESIDUES[checksum]:
+        return None
+    counter, reserved = _SPLIT[nibbles]
+    return counter, reserved, current_a * 1e-06, sync_cnt
+
+
+def encode_RW3_CURRENT_CMD(counter: int, reserved: int, current_a: float, sync_cnt: int) -> bytes:
+    """Frame 0x122 as a 16-byte can_frame."""
+    try:
+        data = _pack_BiBx(_NIBBLES[reserved][counter], round(current_a / 1e-06), sync_cnt)
+    except _OUT_OF_RANGE:
+        return _saturate(0x122, counter, reserved, current_a, sync_cnt)
+    return _HEAD_RW3_CURRENT_CMD[_crc(data, 0x4E)] + data
+
+
+def decode_RW3_CURRENT_CMD(data: bytes) -> tuple[int, int, float, int] | None:
+    """(counter, reserved, current_a, sync_cnt) of frame 0x122."""
+    try:
+        checksum, nibbles, current_a, sync_cnt = _unpack_BiBx(data)
+    except error:
+        return None
+    if _crc(data, 0x87) != RESIDUES[checksum]:
+        return None
+    counter, reserved = _SPLIT[nibbles]
+    return counter, reserved, current_a * 1e-06, sync_cnt
+
+
+def encode_RW4_CURRENT_CMD(counter: int, reserved: int, current_a: float, sync_cnt: int) -> bytes:
+    """Frame 0x123 as a 16-byte can_frame."""
+    try:
+        data = _pack_BiBx(_NIBBLES[reserved][counter], round(current_a / 1e-06), sync_cnt)
+    except _OUT_OF_RANGE:
+        return _saturate(0x123, counter, reserved, current_a, sync_cnt)
+    return _HEAD_RW4_CURRENT_CMD[_crc(data, 0x02)] + data
+
+
+def decode_RW4_CURRENT_CMD(data: bytes) -> tuple[int, int, float, int] | None:
+    """(counter, reserved, current_a, sync_cnt) of frame 0x123."""
+    try:
+        checksum, nibbles, current_a, sync_cnt = _unpack_BiBx(data)
+    except error:
+        return None
+    if _crc(data, 0x9A) != RESIDUES[checksum]:
+        return None
+    counter, reserved = _SPLIT[nibbles]
+    return counter, reserved, current_a * 1e-06, sync_cnt
+
+
+def encode_RW1_SPEED_CMD(counter: int, reserved: int, speed_rad_s: float, sync_cnt: int) -> bytes:
+    """Frame 0x130 as a 16-byte can_frame."""
+    try:
+        data = _pack_BiBx(_NIBBLES[reserved][counter], round(speed_rad_s / 0.0001), sync_cnt)
+    except _OUT_OF_RANGE:
+        return _saturate(0x130, counter, reserved, speed_rad_s, sync_cnt)
+    return _HEAD_RW1_SPEED_CMD[_crc(data, 0x62)] + data
+
+
+def decode_RW1_SPEED_CMD(data: bytes) -> tuple[int, int, float, int] | None:
+    """(counter, reserved, speed_rad_s, sync_cnt) of frame 0x130."""
+    try:
+        checksum, nibbles, speed_rad_s, sync_cnt = _unpack_BiBx(data)
+    except error:
+        return None
+    if _crc(data, 0x70) != RESIDUES[checksum]:
+        return None
+    counter, reserved = _SPLIT[nibbles]
+    return counter, reserved, speed_rad_s * 0.0001, sync_cnt
+
+
+def encode_RW2_SPEED_CMD(counter: int, reserved: int, speed_rad_s: float, sync_cnt: int) -> bytes:
+    """Frame 0x131 as a 16-byte can_frame."""
+    try:
+        data = _pack_BiBx(_NIBBLES[reserved][counter], round(speed_rad_s / 0.0001), sync_cnt)
+    except _OUT_OF_RANGE:
+        return _saturate(0x131, counter, reserved, speed_rad_s, sync_cnt)
+    return _HEAD_RW2_SPEED_CMD[_crc(data, 0x2E)] + data
+
+
+def decode_RW2_SPEED_CMD(data: bytes) -> tuple[int, int, float, int] | None:
+    """(counter, reserved, speed_rad_s, sync_cnt) of frame 0x131."""
+    try:
+        checksum, nibbles, speed_rad_s, sync_cnt = _unpack_BiBx(data)
+    except error:
+        return None
+    if _crc(data, 0x6D) != RESIDUES[checksum]:
+        return None
+    counter, reserved = _SPLIT[nibbles]
+    return counter, reserved, speed_rad_s * 0.0001, sync_cnt
+
+
+def encode_RW3_SPEED_CMD(counter: int, reserved: int, speed_rad_s: float, sync_cnt: int) -> bytes:
+    """Frame 0x132 as a 16-byte can_frame."""
+    try:
+        data = _pack_BiBx(_NIBBLES[reserved][counter], round(speed_rad_s / 0.0001), sync_cnt)
+    except _OUT_OF_RANGE:
+        return _saturate(0x132, counter, reserved, speed_rad_s, sync_cnt)
+    return _HEAD_RW3_SPEED_CMD[_crc(data, 0xFA)] + data
+
+
+def decode_RW3_SPEED_CMD(data: bytes) -> tuple[int, int, float, int] | None:
+    """(counter, reserved, speed_rad_s, sync_cnt) of frame 0x132."""
+    try:
+        checksum, nibbles, speed_rad_s, sync_cnt = _unpack_BiBx(data)
+    except error:
+        return None
+    if _crc(data, 0x4A) != RESIDUES[checksum]:
+        return None
+    counter, reserved = _SPLIT[nibbles]
+    return counter, reserved, speed_rad_s * 0.0001, sync_cnt
+
+
+def encode_RW4_SPEED_CMD(counter: int, reserved: int, speed_rad_s: float, sync_cnt: int) -> bytes:
+    """Frame 0x133 as a 16-byte can_frame."""
+    try:
+        data = _pack_BiBx(_NIBBLES[reserved][counter], round(speed_rad_s / 0.0001), sync_cnt)
+    except _OUT_OF_RANGE:
+        return _saturate(0x133, counter, reserved, speed_rad_s, sync_cnt)
+    return _HEAD_RW4_SPEED_CMD[_crc(data, 0xB6)] + data
+
+
+def decode_RW4_SPEED_CMD(data: bytes) -> tuple[int, int, float, int] | None:
+    """(counter, reserved, speed_rad_s, sync_cnt) of frame 0x133."""
+    try:
+        checksum, nibbles, speed_rad_s, sync_cnt = _unpack_BiBx(data)
+    except error:
+        return None
+    if _crc(data, 0x57) != RESIDUES[checksum]:
+        return None
+    counter, reserved = _SPLIT[nibbles]
+    return counter, reserved, speed_rad_s * 0.0001, sync_cnt
 
 
 def encode_RW1_TLM(counter: int, status: int, speed_rad_s: float, current_ma: float, sync_cnt: int) -> bytes:
@@ -418,6 +612,258 @@ def decode_STR_QB(data: bytes) -> tuple[int, int, float, float] | None:
         return None
     counter, age = _SPLIT[word & 0xFF]
     return counter, age, (word >> 8) * 1.1920928955078125e-07, (q3_high << 16 | q3_low) * 1.1920928955078125e-07
+
+
+def encode_RW1_TEMP(counter: int, reserved: int, motor_temp_degc: float, driver_temp_degc: float, bus_voltage_mv: float) -> bytes:
+    """Frame 0x290 as a 16-byte can_frame."""
+    try:
+        data = _pack_BhhH(_NIBBLES[reserved][counter], round(motor_temp_degc / 0.01), round(driver_temp_degc / 0.01), round(bus_voltage_mv))
+    except _OUT_OF_RANGE:
+        return _saturate(0x290, counter, reserved, motor_temp_degc, driver_temp_degc, bus_voltage_mv)
+    return _HEAD_RW1_TEMP[_crc(data, 0xF9)] + data
+
+
+def decode_RW1_TEMP(data: bytes) -> tuple[int, int, float, float, int] | None:
+    """(counter, reserved, motor_temp_degc, driver_temp_degc, bus_voltage_mv) of frame 0x290."""
+    try:
+        checksum, nibbles, motor_temp_degc, driver_temp_degc, bus_voltage_mv = _unpack_BhhH(data)
+    except error:
+        return None
+    if _crc(data, 0xD2) != RESIDUES[checksum]:
+        return None
+    counter, reserved = _SPLIT[nibbles]
+    return counter, reserved, motor_temp_degc * 0.01, driver_temp_degc * 0.01, bus_voltage_mv
+
+
+def encode_RW2_TEMP(counter: int, reserved: int, motor_temp_degc: float, driver_temp_degc: float, bus_voltage_mv: float) -> bytes:
+    """Frame 0x291 as a 16-byte can_frame."""
+    try:
+        data = _pack_BhhH(_NIBBLES[reserved][counter], round(motor_temp_degc / 0.01), round(driver_temp_degc / 0.01), round(bus_voltage_mv))
+    except _OUT_OF_RANGE:
+        return _saturate(0x291, counter, reserved, motor_temp_degc, driver_temp_degc, bus_voltage_mv)
+    return _HEAD_RW2_TEMP[_crc(data, 0xB5)] + data
+
+
+def decode_RW2_TEMP(data: bytes) -> tuple[int, int, float, float, int] | None:
+    """(counter, reserved, motor_temp_degc, driver_temp_degc, bus_voltage_mv) of frame 0x291."""
+    try:
+        checksum, nibbles, motor_temp_degc, driver_temp_degc, bus_voltage_mv = _unpack_BhhH(data)
+    except error:
+        return None
+    if _crc(data, 0xCF) != RESIDUES[checksum]:
+        return None
+    counter, reserved = _SPLIT[nibbles]
+    return counter, reserved, motor_temp_degc * 0.01, driver_temp_degc * 0.01, bus_voltage_mv
+
+
+def encode_RW3_TEMP(counter: int, reserved: int, motor_temp_degc: float, driver_temp_degc: float, bus_voltage_mv: float) -> bytes:
+    """Frame 0x292 as a 16-byte can_frame."""
+    try:
+        data = _pack_BhhH(_NIBBLES[reserved][counter], round(motor_temp_degc / 0.01), round(driver_temp_degc / 0.01), round(bus_voltage_mv))
+    except _OUT_OF_RANGE:
+        return _saturate(0x292, counter, reserved, motor_temp_degc, driver_temp_degc, bus_voltage_mv)
+    return _HEAD_RW3_TEMP[_crc(data, 0x61)] + data
+
+
+def decode_RW3_TEMP(data: bytes) -> tuple[int, int, float, float, int] | None:
+    """(counter, reserved, motor_temp_degc, driver_temp_degc, bus_voltage_mv) of frame 0x292."""
+    try:
+        checksum, nibbles, motor_temp_degc, driver_temp_degc, bus_voltage_mv = _unpack_BhhH(data)
+    except error:
+        return None
+    if _crc(data, 0xE8) != RESIDUES[checksum]:
+        return None
+    counter, reserved = _SPLIT[nibbles]
+    return counter, reserved, motor_temp_degc * 0.01, driver_temp_degc * 0.01, bus_voltage_mv
+
+
+def encode_RW4_TEMP(counter: int, reserved: int, motor_temp_degc: float, driver_temp_degc: float, bus_voltage_mv: float) -> bytes:
+    """Frame 0x293 as a 16-byte can_frame."""
+    try:
+        data = _pack_BhhH(_NIBBLES[reserved][counter], round(motor_temp_degc / 0.01), round(driver_temp_degc / 0.01), round(bus_voltage_mv))
+    except _OUT_OF_RANGE:
+        return _saturate(0x293, counter, reserved, motor_temp_degc, driver_temp_degc, bus_voltage_mv)
+    return _HEAD_RW4_TEMP[_crc(data, 0x2D)] + data
+
+
+def decode_RW4_TEMP(data: bytes) -> tuple[int, int, float, float, int] | None:
+    """(counter, reserved, motor_temp_degc, driver_temp_degc, bus_voltage_mv) of frame 0x293."""
+    try:
+        checksum, nibbles, motor_temp_degc, driver_temp_degc, bus_voltage_mv = _unpack_BhhH(data)
+    except error:
+        return None
+    if _crc(data, 0xF5) != RESIDUES[checksum]:
+        return None
+    counter, reserved = _SPLIT[nibbles]
+    return counter, reserved, motor_temp_degc * 0.01, driver_temp_degc * 0.01, bus_voltage_mv
+
+
+def encode_RW1_CTRL(counter: int, action: int, mask: int, sync_cnt: int) -> bytes:
+    """Frame 0x300 as a 16-byte can_frame."""
+    try:
+        data = _pack_BHBxxx(_NIBBLES[action][counter], mask, sync_cnt)
+    except _OUT_OF_RANGE:
+        return _saturate(0x300, counter, action, mask, sync_cnt)
+    return _HEAD_RW1_CTRL[_crc(data, 0x99)] + data
+
+
+def decode_RW1_CTRL(data: bytes) -> tuple[int, int, int, int] | None:
+    """(counter, action, mask, sync_cnt) of frame 0x300."""
+    try:
+        checksum, nibbles, mask, sync_cnt = _unpack_BHBxxx(data)
+    except error:
+        return None
+    if _crc(data, 0x38) != RESIDUES[checksum]:
+        return None
+    counter, action = _SPLIT[nibbles]
+    return counter, action, mask, sync_cnt
+
+
+def encode_RW2_CTRL(counter: int, action: int, mask: int, sync_cnt: int) -> bytes:
+    """Frame 0x301 as a 16-byte can_frame."""
+    try:
+        data = _pack_BHBxxx(_NIBBLES[action][counter], mask, sync_cnt)
+    except _OUT_OF_RANGE:
+        return _saturate(0x301, counter, action, mask, sync_cnt)
+    return _HEAD_RW2_CTRL[_crc(data, 0xD5)] + data
+
+
+def decode_RW2_CTRL(data: bytes) -> tuple[int, int, int, int] | None:
+    """(counter, action, mask, sync_cnt) of frame 0x301."""
+    try:
+        checksum, nibbles, mask, sync_cnt = _unpack_BHBxxx(data)
+    except error:
+        return None
+    if _crc(data, 0x25) != RESIDUES[checksum]:
+        return None
+    counter, action = _SPLIT[nibbles]
+    return counter, action, mask, sync_cnt
+
+
+def encode_RW3_CTRL(counter: int, action: int, mask: int, sync_cnt: int) -> bytes:
+    """Frame 0x302 as a 16-byte can_frame."""
+    try:
+        data = _pack_BHBxxx(_NIBBLES[action][counter], mask, sync_cnt)
+    except _OUT_OF_RANGE:
+        return _saturate(0x302, counter, action, mask, sync_cnt)
+    return _HEAD_RW3_CTRL[_crc(data, 0x01)] + data
+
+
+def decode_RW3_CTRL(data: bytes) -> tuple[int, int, int, int] | None:
+    """(counter, action, mask, sync_cnt) of frame 0x302."""
+    try:
+        checksum, nibbles, mask, sync_cnt = _unpack_BHBxxx(data)
+    except error:
+        return None
+    if _crc(data, 0x02) != RESIDUES[checksum]:
+        return None
+    counter, action = _SPLIT[nibbles]
+    return counter, action, mask, sync_cnt
+
+
+def encode_RW4_CTRL(counter: int, action: int, mask: int, sync_cnt: int) -> bytes:
+    """Frame 0x303 as a 16-byte can_frame."""
+    try:
+        data = _pack_BHBxxx(_NIBBLES[action][counter], mask, sync_cnt)
+    except _OUT_OF_RANGE:
+        return _saturate(0x303, counter, action, mask, sync_cnt)
+    return _HEAD_RW4_CTRL[_crc(data, 0x4D)] + data
+
+
+def decode_RW4_CTRL(data: bytes) -> tuple[int, int, int, int] | None:
+    """(counter, action, mask, sync_cnt) of frame 0x303."""
+    try:
+        checksum, nibbles, mask, sync_cnt = _unpack_BHBxxx(data)
+    except error:
+        return None
+    if _crc(data, 0x1F) != RESIDUES[checksum]:
+        return None
+    counter, action = _SPLIT[nibbles]
+    return counter, action, mask, sync_cnt
+
+
+def encode_RW1_POWER(counter: int, reserved: int, bus_current_ma: float, latch: int, uptime_s: float) -> bytes:
+    """Frame 0x390 as a 16-byte can_frame."""
+    try:
+        data = _pack_BHHH(_NIBBLES[reserved][counter], round(bus_current_ma), latch, round(uptime_s))
+    except _OUT_OF_RANGE:
+        return _saturate(0x390, counter, reserved, bus_current_ma, latch, uptime_s)
+    return _HEAD_RW1_POWER[_crc(data, 0xE4)] + data
+
+
+def decode_RW1_POWER(data: bytes) -> tuple[int, int, int, int, int] | None:
+    """(counter, reserved, bus_current_ma, latch, uptime_s) of frame 0x390."""
+    try:
+        checksum, nibbles, bus_current_ma, latch, uptime_s = _unpack_BHHH(data)
+    except error:
+        return None
+    if _crc(data, 0xD3) != RESIDUES[checksum]:
+        return None
+    counter, reserved = _SPLIT[nibbles]
+    return counter, reserved, bus_current_ma, latch, uptime_s
+
+
+def encode_RW2_POWER(counter: int, reserved: int, bus_current_ma: float, latch: int, uptime_s: float) -> bytes:
+    """Frame 0x391 as a 16-byte can_frame."""
+    try:
+        data = _pack_BHHH(_NIBBLES[reserved][counter], round(bus_current_ma), latch, round(uptime_s))
+    except _OUT_OF_RANGE:
+        return _saturate(0x391, counter, reserved, bus_current_ma, latch, uptime_s)
+    return _HEAD_RW2_POWER[_crc(data, 0xA8)] + data
+
+
+def decode_RW2_POWER(data: bytes) -> tuple[int, int, int, int, int] | None:
+    """(counter, reserved, bus_current_ma, latch, uptime_s) of frame 0x391."""
+    try:
+        checksum, nibbles, bus_current_ma, latch, uptime_s = _unpack_BHHH(data)
+    except error:
+        return None
+    if _crc(data, 0xCE) != RESIDUES[checksum]:
+        return None
+    counter, reserved = _SPLIT[nibbles]
+    return counter, reserved, bus_current_ma, latch, uptime_s
+
+
+def encode_RW3_POWER(counter: int, reserved: int, bus_current_ma: float, latch: int, uptime_s: float) -> bytes:
+    """Frame 0x392 as a 16-byte can_frame."""
+    try:
+        data = _pack_BHHH(_NIBBLES[reserved][counter], round(bus_current_ma), latch, round(uptime_s))
+    except _OUT_OF_RANGE:
+        return _saturate(0x392, counter, reserved, bus_current_ma, latch, uptime_s)
+    return _HEAD_RW3_POWER[_crc(data, 0x7C)] + data
+
+
+def decode_RW3_POWER(data: bytes) -> tuple[int, int, int, int, int] | None:
+    """(counter, reserved, bus_current_ma, latch, uptime_s) of frame 0x392."""
+    try:
+        checksum, nibbles, bus_current_ma, latch, uptime_s = _unpack_BHHH(data)
+    except error:
+        return None
+    if _crc(data, 0xE9) != RESIDUES[checksum]:
+        return None
+    counter, reserved = _SPLIT[nibbles]
+    return counter, reserved, bus_current_ma, latch, uptime_s
+
+
+def encode_RW4_POWER(counter: int, reserved: int, bus_current_ma: float, latch: int, uptime_s: float) -> bytes:
+    """Frame 0x393 as a 16-byte can_frame."""
+    try:
+        data = _pack_BHHH(_NIBBLES[reserved][counter], round(bus_current_ma), latch, round(uptime_s))
+    except _OUT_OF_RANGE:
+        return _saturate(0x393, counter, reserved, bus_current_ma, latch, uptime_s)
+    return _HEAD_RW4_POWER[_crc(data, 0x30)] + data
+
+
+def decode_RW4_POWER(data: bytes) -> tuple[int, int, int, int, int] | None:
+    """(counter, reserved, bus_current_ma, latch, uptime_s) of frame 0x393."""
+    try:
+        checksum, nibbles, bus_current_ma, latch, uptime_s = _unpack_BHHH(data)
+    except error:
+        return None
+    if _crc(data, 0xF4) != RESIDUES[checksum]:
+        return None
+    counter, reserved = _SPLIT[nibbles]
+    return counter, reserved, bus_current_ma, latch, uptime_s
 
 
 def encode_HEARTBEAT_PLANT(counter: int, reserved: int, state: int, run_hash: int) -> bytes:
@@ -672,6 +1118,54 @@ _LIMITS: dict[int, tuple[tuple[str, Any, Any, bool], ...]] = {
         ("TORQUE", -214.7483648, 214.7483647, False),
         ("SYNC_CNT", 0, 255, True),
     ),
+    0x120: (
+        ("COUNTER", 0, 15, True),
+        ("RESERVED", 0, 15, True),
+        ("CURRENT", -2147.483648, 2147.483647, False),
+        ("SYNC_CNT", 0, 255, True),
+    ),
+    0x121: (
+        ("COUNTER", 0, 15, True),
+        ("RESERVED", 0, 15, True),
+        ("CURRENT", -2147.483648, 2147.483647, False),
+        ("SYNC_CNT", 0, 255, True),
+    ),
+    0x122: (
+        ("COUNTER", 0, 15, True),
+        ("RESERVED", 0, 15, True),
+        ("CURRENT", -2147.483648, 2147.483647, False),
+        ("SYNC_CNT", 0, 255, True),
+    ),
+    0x123: (
+        ("COUNTER", 0, 15, True),
+        ("RESERVED", 0, 15, True),
+        ("CURRENT", -2147.483648, 2147.483647, False),
+        ("SYNC_CNT", 0, 255, True),
+    ),
+    0x130: (
+        ("COUNTER", 0, 15, True),
+        ("RESERVED", 0, 15, True),
+        ("SPEED", -214748.3648, 214748.3647, False),
+        ("SYNC_CNT", 0, 255, True),
+    ),
+    0x131: (
+        ("COUNTER", 0, 15, True),
+        ("RESERVED", 0, 15, True),
+        ("SPEED", -214748.3648, 214748.3647, False),
+        ("SYNC_CNT", 0, 255, True),
+    ),
+    0x132: (
+        ("COUNTER", 0, 15, True),
+        ("RESERVED", 0, 15, True),
+        ("SPEED", -214748.3648, 214748.3647, False),
+        ("SYNC_CNT", 0, 255, True),
+    ),
+    0x133: (
+        ("COUNTER", 0, 15, True),
+        ("RESERVED", 0, 15, True),
+        ("SPEED", -214748.3648, 214748.3647, False),
+        ("SYNC_CNT", 0, 255, True),
+    ),
     0x190: (
         ("COUNTER", 0, 15, True),
         ("STATUS", 0, 15, True),
@@ -730,6 +1224,86 @@ _LIMITS: dict[int, tuple[tuple[str, Any, Any, bool], ...]] = {
         ("Q2", -1.0, 0.9999998807907104, False),
         ("Q3", -1.0, 0.9999998807907104, False),
     ),
+    0x290: (
+        ("COUNTER", 0, 15, True),
+        ("RESERVED", 0, 15, True),
+        ("MOTOR_TEMP", -327.68, 327.67, False),
+        ("DRIVER_TEMP", -327.68, 327.67, False),
+        ("BUS_VOLTAGE", 0.0, 65535.0, False),
+    ),
+    0x291: (
+        ("COUNTER", 0, 15, True),
+        ("RESERVED", 0, 15, True),
+        ("MOTOR_TEMP", -327.68, 327.67, False),
+        ("DRIVER_TEMP", -327.68, 327.67, False),
+        ("BUS_VOLTAGE", 0.0, 65535.0, False),
+    ),
+    0x292: (
+        ("COUNTER", 0, 15, True),
+        ("RESERVED", 0, 15, True),
+        ("MOTOR_TEMP", -327.68, 327.67, False),
+        ("DRIVER_TEMP", -327.68, 327.67, False),
+        ("BUS_VOLTAGE", 0.0, 65535.0, False),
+    ),
+    0x293: (
+        ("COUNTER", 0, 15, True),
+        ("RESERVED", 0, 15, True),
+        ("MOTOR_TEMP", -327.68, 327.67, False),
+        ("DRIVER_TEMP", -327.68, 327.67, False),
+        ("BUS_VOLTAGE", 0.0, 65535.0, False),
+    ),
+    0x300: (
+        ("COUNTER", 0, 15, True),
+        ("ACTION", 0, 15, True),
+        ("MASK", 0, 65535, True),
+        ("SYNC_CNT", 0, 255, True),
+    ),
+    0x301: (
+        ("COUNTER", 0, 15, True),
+        ("ACTION", 0, 15, True),
+        ("MASK", 0, 65535, True),
+        ("SYNC_CNT", 0, 255, True),
+    ),
+    0x302: (
+        ("COUNTER", 0, 15, True),
+        ("ACTION", 0, 15, True),
+        ("MASK", 0, 65535, True),
+        ("SYNC_CNT", 0, 255, True),
+    ),
+    0x303: (
+        ("COUNTER", 0, 15, True),
+        ("ACTION", 0, 15, True),
+        ("MASK", 0, 65535, True),
+        ("SYNC_CNT", 0, 255, True),
+    ),
+    0x390: (
+        ("COUNTER", 0, 15, True),
+        ("RESERVED", 0, 15, True),
+        ("BUS_CURRENT", 0.0, 65535.0, False),
+        ("LATCH", 0, 65535, True),
+        ("UPTIME", 0.0, 65535.0, False),
+    ),
+    0x391: (
+        ("COUNTER", 0, 15, True),
+        ("RESERVED", 0, 15, True),
+        ("BUS_CURRENT", 0.0, 65535.0, False),
+        ("LATCH", 0, 65535, True),
+        ("UPTIME", 0.0, 65535.0, False),
+    ),
+    0x392: (
+        ("COUNTER", 0, 15, True),
+        ("RESERVED", 0, 15, True),
+        ("BUS_CURRENT", 0.0, 65535.0, False),
+        ("LATCH", 0, 65535, True),
+        ("UPTIME", 0.0, 65535.0, False),
+    ),
+    0x393: (
+        ("COUNTER", 0, 15, True),
+        ("RESERVED", 0, 15, True),
+        ("BUS_CURRENT", 0.0, 65535.0, False),
+        ("LATCH", 0, 65535, True),
+        ("UPTIME", 0.0, 65535.0, False),
+    ),
     0x701: (
         ("COUNTER", 0, 15, True),
         ("RESERVED", 0, 15, True),
@@ -752,6 +1326,14 @@ ENCODERS: dict[int, Encoder] = {
     0x111: encode_RW2_CMD,
     0x112: encode_RW3_CMD,
     0x113: encode_RW4_CMD,
+    0x120: encode_RW1_CURRENT_CMD,
+    0x121: encode_RW2_CURRENT_CMD,
+    0x122: encode_RW3_CURRENT_CMD,
+    0x123: encode_RW4_CURRENT_CMD,
+    0x130: encode_RW1_SPEED_CMD,
+    0x131: encode_RW2_SPEED_CMD,
+    0x132: encode_RW3_SPEED_CMD,
+    0x133: encode_RW4_SPEED_CMD,
     0x190: encode_RW1_TLM,
     0x191: encode_RW2_TLM,
     0x192: encode_RW3_TLM,
@@ -761,6 +1343,18 @@ ENCODERS: dict[int, Encoder] = {
     0x1A2: encode_FOGZ_RATE,
     0x1B0: encode_STR_QA,
     0x1B1: encode_STR_QB,
+    0x290: encode_RW1_TEMP,
+    0x291: encode_RW2_TEMP,
+    0x292: encode_RW3_TEMP,
+    0x293: encode_RW4_TEMP,
+    0x300: encode_RW1_CTRL,
+    0x301: encode_RW2_CTRL,
+    0x302: encode_RW3_CTRL,
+    0x303: encode_RW4_CTRL,
+    0x390: encode_RW1_POWER,
+    0x391: encode_RW2_POWER,
+    0x392: encode_RW3_POWER,
+    0x393: encode_RW4_POWER,
     0x701: encode_HEARTBEAT_PLANT,
     0x702: encode_HEARTBEAT_FSW,
 }
@@ -773,6 +1367,14 @@ DECODERS: dict[int, Decoder] = {
     0x111: decode_RW2_CMD,
     0x112: decode_RW3_CMD,
     0x113: decode_RW4_CMD,
+    0x120: decode_RW1_CURRENT_CMD,
+    0x121: decode_RW2_CURRENT_CMD,
+    0x122: decode_RW3_CURRENT_CMD,
+    0x123: decode_RW4_CURRENT_CMD,
+    0x130: decode_RW1_SPEED_CMD,
+    0x131: decode_RW2_SPEED_CMD,
+    0x132: decode_RW3_SPEED_CMD,
+    0x133: decode_RW4_SPEED_CMD,
     0x190: decode_RW1_TLM,
     0x191: decode_RW2_TLM,
     0x192: decode_RW3_TLM,
@@ -782,6 +1384,18 @@ DECODERS: dict[int, Decoder] = {
     0x1A2: decode_FOGZ_RATE,
     0x1B0: decode_STR_QA,
     0x1B1: decode_STR_QB,
+    0x290: decode_RW1_TEMP,
+    0x291: decode_RW2_TEMP,
+    0x292: decode_RW3_TEMP,
+    0x293: decode_RW4_TEMP,
+    0x300: decode_RW1_CTRL,
+    0x301: decode_RW2_CTRL,
+    0x302: decode_RW3_CTRL,
+    0x303: decode_RW4_CTRL,
+    0x390: decode_RW1_POWER,
+    0x391: decode_RW2_POWER,
+    0x392: decode_RW3_POWER,
+    0x393: decode_RW4_POWER,
     0x701: decode_HEARTBEAT_PLANT,
     0x702: decode_HEARTBEAT_FSW,
 }

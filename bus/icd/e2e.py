@@ -81,7 +81,9 @@ class Pace:
         expected, accepted : of the link before this frame; those accepted since the last look came in sequence
         """
         since = accepted - self._frames
-        if since:
+        if not since and counter == self._counter:
+            advance = 0  # it stands: a sender that is stuck, where two would have moved it
+        elif since:
             advance = _step(self._counter, expected - since) + since - 1 + _step(expected - 1, counter)
         else:
             advance = _step(self._counter, counter)
@@ -259,6 +261,10 @@ class LinkGroup:
                 link.last = data
                 link.tick = self._tick
             self._pending = 0
+
+    def stay_apart(self) -> None:
+        """Let the next frames be looked at one by one, whatever the links expect."""
+        self.expected = -1
 
     def join(self) -> None:
         """Find the counter that all links expect next: -1 while they do not expect the same."""

@@ -7,11 +7,12 @@ Worst case means that every frame is stuffed as often as the protocol allows: Da
 from __future__ import annotations
 
 from bus.errors import BusLoadError
-from bus.icd.messages import MESSAGES
+from bus.icd.messages import MESSAGES, SentPer
 
 LOAD_LIMIT = 0.80  # above this, low-priority frames may wait longer than a tick
 BIT_RATES_BPS = (125_000, 250_000, 500_000, 1_000_000)  # CiA 301 rates worth offering
 DATA_BYTES = 8  # of every message in the ICD
+WHEELS = 4
 
 
 def worst_case_bits(data_bytes: int, *, extended: bool = False) -> int:
@@ -27,33 +28,61 @@ def worst_case_bits(data_bytes: int, *, extended: bool = False) -> int:
     return stuffable + 13 + (stuffable - 1) // 4
 
 
-def required_bits_per_s(tick_rate_hz: float, star_rate_hz: float) -> float:
-    """Bits per second that the whole ICD needs in the worst case [bit/s]; star_rate_hz 0 where there is no tracker."""
-    rate_hz = {"tick": tick_rate_hz, "star": star_rate_hz, "second": 1.0}
+def required_bits_per_s(
+    tick_rate_hz: float, star_rate_hz: float, motor_wheels: int = 0, setpoint_wheels: int = 0
+) -> float:
+    """Bits per second that the ICD needs in the worst case [bit/s].
+
+    star_rate_hz    : 0 where there is no tracker
+    motor_wheels    : wheels with slow telemetry; with any, a request to one of them goes out on every tick
+    setpoint_wheels : wheels that follow a current or a speed, at most all four
+    """
+    rate_hz = _list_rates(tick_rate_hz, star_rate_hz, motor_wheels, setpoint_wheels)
     return worst_case_bits(DATA_BYTES) * sum(rate_hz[message.sent_per] for message in MESSAGES.values())
 
 
-def bus_load(tick_rate_hz: float, star_rate_hz: float, bit_rate_bps: float) -> float:
+def _list_rates(
+    tick_rate_hz: float, star_rate_hz: float, motor_wheels: int, setpoint_wheels: int
+) -> dict[SentPer, float]:
+    """Frames per second of one message, by what it is sent per [Hz]; where that depends on the wheel, the mean of all."""
+    return {
+        "tick": tick_rate_hz,
+        "star": star_rate_hz,
+        "second": 1.0,
+        "slow": motor_wheels / WHEELS,
+        "request": tick_rate_hz / WHEELS if motor_wheels else 0.0,  # one frame a tick, to whichever wheel
+        "setpoint": tick_rate_hz * setpoint_wheels / WHEELS / 2,  # a wheel follows a current or a speed, not both
+    }
+
+
+def bus_load(
+    tick_rate_hz: float, star_rate_hz: float, bit_rate_bps: float, motor_wheels: int = 0, setpoint_wheels: int = 0
+) -> float:
     """Share of the bus that the schedule needs in the worst case [-]; above 1 it cannot be carried at all."""
-    return required_bits_per_s(tick_rate_hz, star_rate_hz) / bit_rate_bps
+    return required_bits_per_s(tick_rate_hz, star_rate_hz, motor_wheels, setpoint_wheels) / bit_rate_bps
 
 
-def fitting_tick_rate_hz(star_rate_hz: float, bit_rate_bps: float) -> int:
+def fitting_tick_rate_hz(
+    star_rate_hz: float, bit_rate_bps: float, motor_wheels: int = 0, setpoint_wheels: int = 0
+) -> int:
     """Highest whole tick rate that stays within the limit [Hz]; 0 where none does."""
-    frames_per_tick = sum(message.sent_per == "tick" for message in MESSAGES.values())
-    bits_left = LOAD_LIMIT * bit_rate_bps - required_bits_per_s(0.0, star_rate_hz)
-    return max(0, int(bits_left / (frames_per_tick * worst_case_bits(DATA_BYTES))))
+    at_rest = required_bits_per_s(0.0, star_rate_hz, motor_wheels, setpoint_wheels)
+    bits_per_tick = required_bits_per_s(1.0, star_rate_hz, motor_wheels, setpoint_wheels) - at_rest
+    return max(0, int((LOAD_LIMIT * bit_rate_bps - at_rest) / bits_per_tick))
 
 
-def check_load(tick_rate_hz: float, star_rate_hz: float, bit_rate_bps: float) -> float:
+def check_load(
+    tick_rate_hz: float, star_rate_hz: float, bit_rate_bps: float, motor_wheels: int = 0, setpoint_wheels: int = 0
+) -> float:
     """Worst-case load of the schedule [-]. Raises BusLoadError above 80 %, with the figure and what would fit."""
-    load = bus_load(tick_rate_hz, star_rate_hz, bit_rate_bps)
+    load = bus_load(tick_rate_hz, star_rate_hz, bit_rate_bps, motor_wheels, setpoint_wheels)
     if load <= LOAD_LIMIT:
         return load
-    needed = required_bits_per_s(tick_rate_hz, star_rate_hz)
+    needed = required_bits_per_s(tick_rate_hz, star_rate_hz, motor_wheels, setpoint_wheels)
     star = f" and a star tracker at {star_rate_hz:g} Hz" if star_rate_hz else ""
+    star += f", with slow telemetry of {motor_wheels} wheels and requests to them," if motor_wheels else ""
     choices = []
-    slower = fitting_tick_rate_hz(star_rate_hz, bit_rate_bps)
+    slower = fitting_tick_rate_hz(star_rate_hz, bit_rate_bps, motor_wheels, setpoint_wheels)
     if slower:
         choices.append(f"a tick rate of at most {slower} Hz")
     faster = next((rate for rate in BIT_RATES_BPS if needed <= LOAD_LIMIT * rate), None)

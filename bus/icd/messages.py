@@ -11,6 +11,10 @@ from typing import Any, Literal
 
 from bus.icd.message_table import ROWS
 
+# Sent once per base tick, star-tracker measurement or second; per tick while a wheel is told to follow a setpoint; per
+# second by each wheel that has slow telemetry; on request, at most one frame of all of them a tick.
+SentPer = Literal["tick", "star", "second", "setpoint", "slow", "request"]
+
 
 @dataclass(frozen=True, slots=True)
 class Signal:
@@ -35,8 +39,8 @@ class Message:
     name: str
     sender: str
     receivers: tuple[str, ...]
-    sent_per: Literal["tick", "star", "second"]  # base tick, star-tracker measurement, or second
-    cycle_time_ms: int  # with ticks at 100 Hz and the star tracker at 10 Hz; the scenario sets the real ones
+    sent_per: SentPer
+    cycle_time_ms: int  # with ticks at 100 Hz and the star tracker at 10 Hz, 0: none; the scenario sets the real ones
     data_id: int
     signals: tuple[Signal, ...]
 

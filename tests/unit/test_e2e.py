@@ -255,6 +255,15 @@ def test_frames_that_the_bus_doubles_are_no_second_sender() -> None:
     assert (link.faults[e2e.REPEATED], link.rivals) == (100, 0)
 
 
+def test_a_counter_that_stands_is_no_second_sender() -> None:
+    """A stuck node sends new values under one counter for 1000 ticks: each is a repeat, none is taken, nobody suspected."""
+    link = Link(icd_codec.decode_RW1_CMD)
+    assert link.accept(torque_frame(7, 0.01, 7), 7) is not None
+    for tick in range(8, 1008):
+        assert link.accept(torque_frame(7, 0.01 + tick * 1e-6, tick), tick) is None
+    assert (link.faults[e2e.REPEATED], link.rivals) == (1000, 0)
+
+
 @pytest.mark.parametrize("offset", range(4, 12))
 def test_an_intruder_does_not_take_the_place_of_a_silent_sender_at_once(offset: int) -> None:
     """With a second sender known, two frames in a row are not enough: only its counter's coming by the expected one."""

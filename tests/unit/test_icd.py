@@ -13,6 +13,7 @@ import pytest
 
 from bus.icd.messages import IDS, MESSAGES, dbc_path
 from bus.native import COMPILED
+from bus.wheels import ACTIONS, COMMAND_STALE, EMF_LIMITED, OVERSPEED, OVERTEMP, UNDERVOLTAGE
 from tools.design.generate_codec import generate_codec, generate_table
 from tools.design.generate_icd_page import generate_page
 from tools.design.native_codec import generate_native_codec
@@ -30,6 +31,14 @@ CONTRACT = {
     **{0x110 + k: (f"RW{k + 1}_CMD", "FSW", ["MODE", "TORQUE", "SYNC_CNT"]) for k in range(4)},
     **{0x190 + k: (f"RW{k + 1}_TLM", f"RW{k + 1}", ["STATUS", "SPEED", "CURRENT", "SYNC_CNT"]) for k in range(4)},
     **{0x1A0 + k: (f"FOG{axis}_RATE", "GYRO", ["STATUS", "RATE", "SYNC_CNT"]) for k, axis in enumerate("XYZ")},
+    **{0x120 + k: (f"RW{k + 1}_CURRENT_CMD", "FSW", ["RESERVED", "CURRENT", "SYNC_CNT"]) for k in range(4)},
+    **{0x130 + k: (f"RW{k + 1}_SPEED_CMD", "FSW", ["RESERVED", "SPEED", "SYNC_CNT"]) for k in range(4)},
+    **{
+        0x290 + k: (f"RW{k + 1}_TEMP", f"RW{k + 1}", ["RESERVED", "MOTOR_TEMP", "DRIVER_TEMP", "BUS_VOLTAGE"])
+        for k in range(4)
+    },
+    **{0x300 + k: (f"RW{k + 1}_CTRL", "FSW", ["ACTION", "MASK", "SYNC_CNT"]) for k in range(4)},
+    **{0x390 + k: (f"RW{k + 1}_POWER", f"RW{k + 1}", ["RESERVED", "BUS_CURRENT", "LATCH", "UPTIME"]) for k in range(4)},
     0x1B0: ("STR_QA", "STR", ["AGE", "Q0", "Q1"]),
     0x1B1: ("STR_QB", "STR", ["AGE", "Q2", "Q3"]),
     0x701: ("HEARTBEAT_PLANT", "PLANT", ["RESERVED", "STATE", "RUN_HASH"]),
@@ -93,6 +102,8 @@ def test_scales_and_units_are_the_contract() -> None:
     assert scaled == {
         ("SECONDS", 1, "s"), ("FRACTION", 2**-16, "s"), ("TORQUE", 1e-7, "N m"), ("SPEED", 1e-3, "rad/s"),
         ("CURRENT", 1, "mA"), ("RATE", 1e-9, "rad/s"), *((f"Q{k}", 2**-23, None) for k in range(4)),
+        ("CURRENT", 1e-6, "A"), ("SPEED", 1e-4, "rad/s"), ("MOTOR_TEMP", 0.01, "degC"), ("DRIVER_TEMP", 0.01, "degC"),
+        ("BUS_VOLTAGE", 1, "mV"), ("BUS_CURRENT", 1, "mA"), ("UPTIME", 1, "s"),
     }  # fmt: skip
 
 
@@ -105,11 +116,12 @@ def test_message_and_signals_have_comments(message: Any) -> None:
 
 @EACH_MESSAGE
 def test_cycle_time_and_send_type(message: Any) -> None:
-    """GenMsgCycleTime is set, and agrees with what the frame is sent per, at 100 Hz and 10 Hz."""
+    """GenMsgCycleTime and GenMsgSendType agree with what the frame is sent per, at 100 Hz and 10 Hz."""
     base = message.dbc.attributes["CycleBase"]
     name = base.definition.choices[base.value]
-    assert message.cycle_time == {"Tick": 10, "Star": 100, "Second": 1000}[name]
-    assert message.send_type == "Cyclic"
+    cycle_ms = {"Tick": 10, "Star": 100, "Second": 1000, "Setpoint": 10, "Slow": 1000, "Request": 0}
+    assert (message.cycle_time or 0) == cycle_ms[name]
+    assert message.send_type == {"Setpoint": "IfActive", "Request": "Event"}.get(name, "Cyclic")
     assert MESSAGES[message.frame_id].sent_per == name.lower()
 
 
@@ -122,7 +134,10 @@ def test_data_ids_are_unique_and_not_the_default() -> None:
 
 def test_commands_win_arbitration_over_telemetry() -> None:
     """The lower id wins a CAN bus: tick, then commands, then telemetry, then life signs."""
-    kinds = ["SYNC", "RW4_CMD", "RW1_TLM", "FOGX_RATE", "STR_QA", "HEARTBEAT_PLANT"]
+    kinds = [
+        "SYNC", "RW4_CMD", "RW1_CURRENT_CMD", "RW1_SPEED_CMD", "RW1_TLM", "FOGX_RATE", "STR_QA", "RW1_TEMP", "RW1_CTRL",
+        "RW1_POWER", "HEARTBEAT_PLANT",
+    ]  # fmt: skip
     assert [IDS[name] for name in kinds] == sorted(IDS[name] for name in kinds)
     assert max(IDS[f"RW{k}_CMD"] for k in range(1, 5)) < min(IDS[f"RW{k}_TLM"] for k in range(1, 5))
 
@@ -131,7 +146,12 @@ def test_value_tables() -> None:
     """Numbers that both sides and the graders know by name."""
     tables = {
         ("CYCLE_DONE", "MODE"): {0: "standby", 1: "detumble", 2: "point", 3: "safe"},
-        ("RW1_CMD", "MODE"): {0: "off", 1: "torque"},
+        ("RW1_CMD", "MODE"): {0: "off", 1: "torque", 2: "current", 3: "speed"},
+        ("RW1_CTRL", "ACTION"): ACTIONS,
+        ("RW1_POWER", "LATCH"): {
+            0: "none", OVERSPEED: "overspeed", EMF_LIMITED: "emf_limited", OVERTEMP: "overtemp",
+            UNDERVOLTAGE: "undervoltage", COMMAND_STALE: "command_stale",
+        },
         ("RW1_TLM", "STATUS"): {0: "ok", 1: "fault", 2: "no_command", 3: "speed_limit"},
         ("FOGX_RATE", "STATUS"): {0: "ok", 1: "fault", 2: "out_of_range"},
         ("STR_QA", "AGE"): {15: "not_valid"},
@@ -146,7 +166,8 @@ def test_value_tables() -> None:
 
 def test_units_of_one_kind_differ_only_in_id_and_ends() -> None:
     """The four wheels, and the three gyro axes, speak the same language."""
-    for kind, units in (("RW{}_CMD", "1234"), ("RW{}_TLM", "1234"), ("FOG{}_RATE", "XYZ")):
+    wheels = ("CMD", "TLM", "CURRENT_CMD", "SPEED_CMD", "TEMP", "CTRL", "POWER")
+    for kind, units in (*((f"RW{{}}_{what}", "1234") for what in wheels), ("FOG{}_RATE", "XYZ")):
         first, *others = (MESSAGES[IDS[kind.format(unit)]].signals for unit in units)
         assert all(signals == first for signals in others)
 
@@ -156,7 +177,7 @@ def test_run_time_table_says_what_the_dbc_says(message: Any) -> None:
     """bus.icd.messages, which parses nothing, agrees with cantools' reading of the DBC."""
     ours = MESSAGES[message.frame_id]
     assert (ours.name, [ours.sender], set(ours.receivers)) == (message.name, message.senders, message.receivers)
-    assert (ours.cycle_time_ms, ours.data_id) == (message.cycle_time, message.dbc.attributes["DataID"].value)
+    assert (ours.cycle_time_ms, ours.data_id) == (message.cycle_time or 0, message.dbc.attributes["DataID"].value)
     assert [(s.name, s.start_bit, s.length_bits, s.is_signed) for s in ours.signals] == [
         (s.name, s.start, s.length, s.is_signed) for s in message.signals
     ]

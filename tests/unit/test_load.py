@@ -57,6 +57,21 @@ def test_load_of_the_schedule_in_closed_form() -> None:
     assert required_bits_per_s(50, 0) == 135 * (13 * 50 + 3)  # no star tracker
 
 
+def test_load_with_slow_telemetry_in_closed_form() -> None:
+    """Each wheel with a motor adds 2 frames a second, all of them a request a tick; one that follows a setpoint, 1."""
+    assert required_bits_per_s(100, 10, motor_wheels=4) == 135 * (14 * 100 + 2 * 10 + 3 + 8)
+    assert required_bits_per_s(100, 10, motor_wheels=1) == 135 * (14 * 100 + 2 * 10 + 3 + 2)
+    assert required_bits_per_s(100, 10, 4, setpoint_wheels=4) == 135 * (18 * 100 + 2 * 10 + 3 + 8)
+
+
+def test_slow_telemetry_counts_in_the_refusal() -> None:
+    """At 108 Hz on 250 kbit/s ideal wheels fit (77.0 %), wheels that report do not (83.4 %); 103 Hz is offered and fits."""
+    assert check_load(108, 10, 250_000) == pytest.approx(0.7706, abs=1e-4)
+    with pytest.raises(BusLoadError, match=r"slow telemetry of 4 wheels.* at most 103 Hz"):
+        check_load(108, 10, 250_000, 4)
+    check_load(103, 10, 250_000, 4)
+
+
 @pytest.mark.parametrize(("tick_hz", "bit_rate"), [(50, 125_000), (100, 250_000), (100, 500_000), (200, 1_000_000)])
 def test_schedules_that_fit_return_their_load(tick_hz: int, bit_rate: int) -> None:
     """What fits is let through with the figure that reports print."""

@@ -11,6 +11,7 @@ from typing import Any
 
 from bus.errors import ConfigError
 from bus.icd.load import bus_load
+from plant_server.wheels.bank import has_slow_telemetry
 from tools.config.loader import Examination, examine
 from tools.config.scenario import Resolved
 
@@ -45,7 +46,8 @@ def summarise(resolved: Resolved) -> dict[str, Any]:
     """What a scenario amounts to, in JSON types."""
     scenario = resolved.scenario
     tick_hz = scenario.clock.tick_hz
-    load = bus_load(tick_hz, scenario.plant.star_tracker.rate_hz, scenario.bus.bitrate_bps)
+    motor_wheels = sum([has_slow_telemetry(getattr(wheel, "model", None)) for wheel in scenario.plant.wheels])
+    load = bus_load(tick_hz, scenario.plant.star_tracker.rate_hz, scenario.bus.bitrate_bps, motor_wheels)
     return {
         "name": scenario.name,
         "title": scenario.title,

@@ -19,6 +19,7 @@ from bus.units import DEG
 from plant_server.config import PlantConfig
 from plant_server.faults import explain_times, fault_ids
 from plant_server.validation import explain_inertia, validate
+from plant_server.wheels.bank import has_slow_telemetry
 from tools.config.expect_checks import check_expectation
 from tools.config.wire_checks import check_address, check_ranges
 
@@ -208,7 +209,8 @@ def check_bus_load(parts: dict[KeyPath, Any]) -> Problems:
     if tick_hz is None or bitrate_bps is None or star_hz is None:
         return
     try:
-        check_load(tick_hz, star_hz, bitrate_bps)
+        models = [parts.get(("plant", "wheels", index, "model")) for index in range(4)]
+        check_load(tick_hz, star_hz, bitrate_bps, sum(map(has_slow_telemetry, models)))
     except BusLoadError as error:
         yield Problem(("bus", "bitrate_bps"), str(error).removeprefix("bus: "))
 

@@ -341,7 +341,7 @@ def write_rows(message: Any) -> str:
     base = attributes["CycleBase"]
     head = (
         message.frame_id, message.name, message.senders[0], tuple(sorted(message.receivers)),
-        base.definition.choices[base.value].lower(), message.cycle_time, attributes["DataID"].value,
+        base.definition.choices[base.value].lower(), message.cycle_time or 0, attributes["DataID"].value,
     )  # fmt: skip
     lines = [f"    ({head!r}, ("]
     for s in message.signals:

@@ -12,6 +12,11 @@ from bus.icd.load import BIT_RATES_BPS, LOAD_LIMIT, bus_load
 ROOT = Path(__file__).resolve().parents[2]
 TICK_RATES_HZ = (10, 50, 100, 200)
 STAR_RATE_HZ = 10
+WHEEL_SETS = (  # title, wheels with slow telemetry, wheels that follow a setpoint
+    ("Four ideal wheels:", 0, 0),
+    ("Four wheels with a motor of their own, which send slow telemetry; a request on every tick:", 4, 0),
+    ("As before, and each of them follows a current or a speed:", 4, 4),
+)
 
 INTRODUCTION = """# The bus: interface control document
 
@@ -32,6 +37,23 @@ Ids are shaped like CANopen's (SYNC 0x080, TIME 0x100, heartbeat 0x700 + node); 
 | 1 | 0-3 | COUNTER | {counter} |
 | 1 | 4-7 | named per message | a 4-bit state, below |
 | 2-7 | | payload | below; unused bytes are 0 |
+
+## How a wheel is told what to do
+
+RWi_CMD comes on every tick and names the mode. In mode torque its own TORQUE counts. In modes current and speed the
+setpoint comes in a frame of its own, RWi_CURRENT_CMD or RWi_SPEED_CMD, beside it on every tick, and TORQUE is not looked
+at. So one frame decides the mode, and a wheel that hears no RWi_CMD, or none of the setpoints that it is told to follow,
+has no command: it coasts, says so in STATUS, and latches it. Only wheels with a motor of their own know current and speed.
+
+RWi_CTRL asks for something once: to clear what is latched, a reset, power off or on. It is not answered; what became of it
+is seen in RWi_POWER (LATCH, UPTIME). A wheel of the ideal kind has neither supply nor latch and sends no RWi_TEMP and no
+RWi_POWER; it coasts while its power is off, and a reset ends faults that last until one.
+
+RWi_TLM has the commands' and sensors' pace and its place in the batch of a tick. RWi_TEMP and RWi_POWER have higher ids, so
+that they never hold back a frame of the loop; their eight frames are spread over the second. A receiver holds them for three
+seconds.
+
+## Values
 
 Physical value = raw value x scale. The in-loop codec (`bus/icd/codec.py`, generated too) rounds half-even and sends a
 value that is out of range as the nearest one in range.
@@ -59,6 +81,9 @@ def read_cycle(message: Any) -> str:
         "Tick": f"every tick ({message.cycle_time} ms at 100 Hz)",
         "Star": f"every star-tracker measurement ({message.cycle_time} ms at 10 Hz)",
         "Second": "once a second",
+        "Setpoint": f"every tick ({message.cycle_time} ms at 100 Hz) while RWi_CMD asks for its mode",
+        "Slow": "once a second by a wheel with a motor of its own",
+        "Request": "on request, one frame a tick at most",
     }[name]
 
 
@@ -85,14 +110,15 @@ def write_load() -> list[str]:
         f"Every frame with as many stuff bits as CAN allows (135 bits for 8 bytes), star tracker at {STAR_RATE_HZ} Hz. "
         f"A scenario above {100 * LOAD_LIMIT:.0f} % is refused."
     )
-    lines += ["", "| bit rate | " + " | ".join(f"{rate} Hz" for rate in TICK_RATES_HZ) + " |"]
-    lines.append("|---" * (1 + len(TICK_RATES_HZ)) + "|")
-    for bit_rate in BIT_RATES_BPS:
-        cells = []
-        for tick_rate in TICK_RATES_HZ:
-            load = bus_load(tick_rate, STAR_RATE_HZ, bit_rate)
-            cells.append(f"{100 * load:.1f} %" + (" (refused)" if load > LOAD_LIMIT else ""))
-        lines.append(f"| {bit_rate // 1000} kbit/s | " + " | ".join(cells) + " |")
+    for title, motor_wheels, setpoint_wheels in WHEEL_SETS:
+        lines += ["", title, "", "| bit rate | " + " | ".join(f"{rate} Hz" for rate in TICK_RATES_HZ) + " |"]
+        lines.append("|---" * (1 + len(TICK_RATES_HZ)) + "|")
+        for bit_rate in BIT_RATES_BPS:
+            cells = []
+            for tick_rate in TICK_RATES_HZ:
+                load = bus_load(tick_rate, STAR_RATE_HZ, bit_rate, motor_wheels, setpoint_wheels)
+                cells.append(f"{100 * load:.1f} %" + (" (refused)" if load > LOAD_LIMIT else ""))
+            lines.append(f"| {bit_rate // 1000} kbit/s | " + " | ".join(cells) + " |")
     return lines
 
 
