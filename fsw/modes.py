@@ -30,9 +30,8 @@ class Mode(IntEnum):
     DEGRADED = 4
 
 
-STANDBY, DETUMBLE, POINT, SAFE, DEGRADED = (
-    Mode  # for every cycle: `Mode.SAFE` is looked up through a property in Python 3.11
-)
+# for every cycle: `Mode.SAFE` is looked up through a property in Python 3.11
+STANDBY, DETUMBLE, POINT, SAFE, DEGRADED = Mode
 
 
 class ModeManager:

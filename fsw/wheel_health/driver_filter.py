@@ -13,7 +13,8 @@ GAIN_WALK_S: Final = 1e-5
 FIRST_CURRENT_A2: Final = 1e-6
 FIRST_GAIN: Final = 0.01
 GAIN_LIMIT: Final = 1.5  # a gain beyond it is a current that is not the command's
-NIS_S: Final = 1.0  # time constant of the mean of the normalised innovation squared
+NIS_S: Final = 1.0  # time constant of the mean of the normalised innovation squared,
+MOST_NIS: Final = 100.0  # of which no sample counts for more than this: a step is soon forgotten
 
 
 class DriverFilter:
@@ -58,6 +59,11 @@ class DriverFilter:
         self.mean_nis = 1.0
         self.torque_nm = 0.0
 
+    def doubt(self) -> None:
+        """Forget how sure the gain was, not what it is: it then follows within a few measurements."""
+        self.variance = self._p_cc = FIRST_GAIN
+        self._p_ic = 0.0
+
     def step(self, dt_s: float, command_v: float, measured_a: float, heard: bool) -> None:
         """Advance over dt_s, in which the command was held; then `torque_nm` is k_t times the mean current of that time.
 
@@ -83,7 +89,8 @@ class DriverFilter:
             p_cc -= k_c * p_ic
             p_ic -= k_i * p_ic
             p_ii -= k_i * p_ii
-            self.mean_nis += dt_s / (NIS_S + dt_s) * (innovation * innovation / s - self.mean_nis)
+            nis = innovation * innovation / s
+            self.mean_nis += dt_s / (NIS_S + dt_s) * ((nis if nis < MOST_NIS else MOST_NIS) - self.mean_nis)
         self.current_a, self.gain = current, gain
         self._p_ii, self._p_ic, self._p_cc, self.variance = p_ii, p_ic, p_cc, p_cc
         final = self._gain_a_v * gain * command_v

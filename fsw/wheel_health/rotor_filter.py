@@ -17,6 +17,10 @@ FIRST_FRICTION: Final = 1e-6
 AFTER_GAIN: Final = 0.09  # once there is an alarm: what was learnt of a sound wheel says nothing of a faulty one
 AFTER_FRICTION: Final = 9e-6
 GAIN_LIMIT: Final = 1.5
+FAST_RAD_S: Final = (
+    4.0  # from here on tanh(w / 0.1) is 1 to the last bit, also after a step that changes w by less than
+)
+NEAR_RAD_S: Final = 2.0
 FRICTION_LIMIT_NM: Final = 0.05
 
 
@@ -75,15 +79,24 @@ class RotorFilter:
         t = dt_s / self._inertia_kgm2
         h = 0.25 * t
         dry, viscous, push = self._coulomb_nm + f, self._viscous_nm_s, gain * torque_nm
-        slope, tanh = dry / DRY_RAD_S, math.tanh
-        y = tanh(w / DRY_RAD_S)
-        c = -t * y
-        a = 1.0 - h * (slope * (1.0 - y * y) + viscous)
-        w += h * (push - dry * y - viscous * w)
-        for _ in (1, 2, 3):
+        y = 1.0 if w > 0.0 else -1.0
+        left = t * (abs(push) + dry)
+        if w * y > FAST_RAD_S and -NEAR_RAD_S < left < NEAR_RAD_S:  # dry friction is what it is throughout
+            keep, more = 1.0 - h * viscous, h * (push - dry * y)
+            c = -t * y
+            w = keep * (keep * (keep * (keep * w + more) + more) + more) + more
+            a = keep * keep
+            a *= a
+        else:
+            slope, tanh = dry / DRY_RAD_S, math.tanh
             y = tanh(w / DRY_RAD_S)
-            a *= 1.0 - h * (slope * (1.0 - y * y) + viscous)
+            c = -t * y
+            a = 1.0 - h * (slope * (1.0 - y * y) + viscous)
             w += h * (push - dry * y - viscous * w)
+            for _ in (1, 2, 3):
+                y = tanh(w / DRY_RAD_S)
+                a *= 1.0 - h * (slope * (1.0 - y * y) + viscous)
+                w += h * (push - dry * y - viscous * w)
         b = t * torque_nm
         p01, p02, p11, p12, p22 = self._p01, self._p02, self.gain_variance, self._p12, self.friction_variance
         r0, r1, r2 = a * self._p00 + b * p01 + c * p02, a * p01 + b * p11 + c * p12, a * p02 + b * p12 + c * p22
@@ -91,8 +104,8 @@ class RotorFilter:
         p11 += GAIN_WALK * dt_s
         p22 += FRICTION_WALK * dt_s
         if heard:
-            innovation = (measured_rad_s - w) / (p00 + self._noise)
             k = 1.0 / (p00 + self._noise)
+            innovation = k * (measured_rad_s - w)
             w += p00 * innovation
             gain += r1 * innovation
             f += r2 * innovation

@@ -70,7 +70,7 @@ class WheelKalmanConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WheelKalmanPaperConfig:
-    """The paper's filter of current and speed; its residual gives an alarm and no cause. To be held against `wheel_kalman`."""
+    """The paper's filter of current and speed; its residual gives an alarm and no cause."""
 
     kind: Literal["wheel_kalman_paper"]
     model: Literal["current", "voltage"] = (

@@ -47,6 +47,7 @@ class WheelKalman(WheelHealthMonitor):
             )
         )
         self._watches = (a, b, c, d)
+        self._dt_s, self._lag = -1.0, 0.0
         self._acts = config.reaction != "report"
         self.reset()
 
@@ -98,9 +99,9 @@ class WheelKalman(WheelHealthMonitor):
             (kind[0] != NONE, kind[1] != NONE, kind[2] != NONE, kind[3] != NONE),
             explained,
             (p.driver_gain, q.driver_gain, r.driver_gain, s.driver_gain),
-            (p.torque_gain, q.torque_gain, r.torque_gain, s.torque_gain),
-            (p.friction_nm, q.friction_nm, r.friction_nm, s.friction_nm),
-            (p.deficit_nm, q.deficit_nm, r.deficit_nm, s.deficit_nm),
+            (p.rotor.gain, q.rotor.gain, r.rotor.gain, s.rotor.gain),
+            (p.rotor.friction_nm, q.rotor.friction_nm, r.rotor.friction_nm, s.rotor.friction_nm),
+            (p.deficit.deficit_nm, q.deficit.deficit_nm, r.deficit.deficit_nm, s.deficit.deficit_nm),
             kind,
             (p.confidence, q.confidence, r.confidence, s.confidence),
             self._dither,
@@ -114,7 +115,10 @@ class WheelKalman(WheelHealthMonitor):
         """
         if not self._acts:
             return ZERO3
-        lag = 1.0 - math.exp(-dt_s / self._config.observer_lag_s) if dt_s > 0.0 else 0.0
+        if dt_s != self._dt_s:
+            self._dt_s = dt_s
+            self._lag = 1.0 - math.exp(-dt_s / self._config.observer_lag_s) if dt_s > 0.0 else 0.0
+        lag = self._lag
         (a, b, c, d), (e, f, g, h) = self._seen, tau_rw_cmd_nm
         self._seen = a, b, c, d = (a + lag * (e - a), b + lag * (f - b), c + lag * (g - c), d + lag * (h - d))
         if share == ONES4 or tau_fault_hat_b_nm is None or tau_fault_hat_b_nm == ZERO3:

@@ -30,8 +30,10 @@ DRIVER_SIGMAS: Final = 5.0  # a driver gain nearer to 1 than so many of its own 
 DEAD_GAIN: Final = 0.1
 BEYOND_GAIN: Final = 1.25  # a current beyond it, or against the command, is not the command's
 AGAINST_GAIN: Final = -0.1
+SURE_S: Final = 0.5  # a gain that is on its way passes through all others
 FAR_NIS: Final = 12.0  # mean innovation squared, in its variance, of a current that no gain explains ...
-FAR_S: Final = 5.0  # ... this long after the alarm: a filter that a step threw off has found back by then
+FAR_S: Final = 3.0  # ... for this long: a filter that a step threw off has found back by then
+OFF_STILL: Final = 0.5  # part of the driver's threshold below which its alarm ends
 STILL_RAD_S: Final = 0.5  # below it a rotor stands: ten sigma of its telemetry
 STILL_S: Final = 1.0
 HELD_PART: Final = 0.6  # of the motor's torque that holds nothing but a rotor that stands
@@ -46,9 +48,10 @@ class WheelWatch:
     """Filters, alarm and kind of one wheel. Of the rotor; commands come as torque on the body about the wheel's axis."""
 
     __slots__ = (
+        "_beyond_s",
         "_blown",
         "_config",
-        "_deficit",
+        "_dead_s",
         "_drive_v_nm",
         "_driver",
         "_driver_off_s",
@@ -64,15 +67,17 @@ class WheelWatch:
         "_out_s",
         "_over_s",
         "_quiet_s",
-        "_rotor",
         "_silent_s",
         "_started",
         "_stiff_nm",
         "_still_s",
         "_tries",
         "confidence",
+        "deficit",
+        "driver_gain",
         "in_use",
         "kind",
+        "rotor",
         "sure",
     )  # fmt: skip
 
@@ -102,10 +107,10 @@ class WheelWatch:
         self._max_torque_nm = max_torque_nm
         self._stiff_nm = 2.0 * coulomb_nm + 0.1 * max_torque_nm  # torque that moves any rotor that is not seized
         noise = config.speed_noise_rad_s
-        self._deficit = DeficitFilter(
+        self.deficit = DeficitFilter(
             inertia_kgm2, coulomb_nm, viscous_nm_s, torque_noise_nm, noise, config.deficit_walk_nm_sqrt_s
         )
-        self._rotor = RotorFilter(inertia_kgm2, coulomb_nm, viscous_nm_s, noise)
+        self.rotor = RotorFilter(inertia_kgm2, coulomb_nm, viscous_nm_s, noise)
         self._log_odds = math.log(config.odds)
         self.reset()
 
@@ -123,40 +128,23 @@ class WheelWatch:
         self.kind = NONE
         self.confidence = 0.0
         self.sure = False  # whether gain and friction can be told apart
-        self._over_s = self._quiet_s = self._driver_off_s = self._far_s = self._still_s = 0.0
+        self._beyond_s = self._dead_s = self._over_s = self._quiet_s = self._driver_off_s = self._far_s = (
+            self._still_s
+        ) = 0.0
         self._out_s = self._in_use_s = self._motor_nm = 0.0
         self._blown = False
+        self.driver_gain = 1.0
         if self._driver is not None:
             self._driver.restart(0.0)
-        self._deficit.restart(0.0)
-        self._rotor.restart(0.0)
+        self.deficit.restart(0.0)
+        self.rotor.restart(0.0)
 
     # -- what is known of it -----------------------------------------------------------------------------------------
 
     @property
-    def driver_gain(self) -> float:
-        """C_d."""
-        return 1.0 if self._driver is None else self._driver.gain
-
-    @property
-    def torque_gain(self) -> float:
-        """C_t."""
-        return self._rotor.gain
-
-    @property
-    def friction_nm(self) -> float:
-        """Friction beyond the nominal [N m]."""
-        return self._rotor.friction_nm
-
-    @property
-    def deficit_nm(self) -> float:
-        """Torque that the rotor lacks [N m]."""
-        return self._deficit.deficit_nm
-
-    @property
     def gain_sigma(self) -> float:
         """Standard deviation of C_t."""
-        return math.sqrt(max(0.0, self._rotor.gain_variance))
+        return math.sqrt(max(0.0, self.rotor.gain_variance))
 
     def find_share(self) -> float:
         """Share of its command that the wheel gives, 0 .. 1; 1 of a wheel without an alarm."""
@@ -164,7 +152,7 @@ class WheelWatch:
             return 0.0
         if self.kind == NONE or self.kind == SILENT:
             return 1.0
-        share = self.driver_gain * self._rotor.gain
+        share = self.driver_gain * self.rotor.gain
         return 0.0 if share < 0.0 else 1.0 if share > 1.0 else share
 
     # -- a step ------------------------------------------------------------------------------------------------------
@@ -190,17 +178,30 @@ class WheelWatch:
         else:
             self._filter(dt_s, torque_cmd_nm, reading, heard)
         if heard:
+            if self._is_sound():  # on nearly every step there is nothing to judge
+                self._over_s = self._driver_off_s = 0.0
+                return
             self._judge(dt_s, reading.speed_rad_s)
         elif not valid:
             self._note_silence()
+
+    def _is_sound(self) -> bool:
+        """Whether nothing is wrong, was wrong, or may be about to be."""
+        least, off = self._config.deficit_threshold_nm, self._config.driver_threshold
+        return (
+            self.kind == NONE
+            and -least <= self.deficit.deficit_nm <= least
+            and -off <= self.driver_gain - 1.0 <= off
+            and self._tries == 0
+        )
 
     def _start(self, reading: WheelReading) -> None:
         self._started = True
         self.kind = NONE
         if self._driver is not None:
             self._driver.restart(reading.current_a)
-        self._deficit.restart(reading.speed_rad_s)
-        self._rotor.restart(reading.speed_rad_s)
+        self.deficit.restart(reading.speed_rad_s)
+        self.rotor.restart(reading.speed_rad_s)
 
     def _filter(self, dt_s: float, torque_cmd_nm: float, reading: WheelReading, heard: bool) -> None:
         """All three filters; after a time without telemetry, speeds begin anew at what is measured."""
@@ -210,37 +211,40 @@ class WheelWatch:
             command_v, most = torque * self._drive_v_nm, self._max_v
             command_v = -most if command_v < -most else most if command_v > most else command_v
             driver.step(dt_s, command_v, reading.current_a, heard)
-            torque = driver.torque_nm
+            torque, self.driver_gain = driver.torque_nm, driver.gain
         self._motor_nm = torque
         if heard and self._gap:
             self._gap = False
-            self._deficit.anchor(speed)
-            self._rotor.anchor(speed)
+            self.deficit.anchor(speed)
+            self.rotor.anchor(speed)
             return
         self._gap = not heard
-        self._deficit.step(dt_s, torque, speed, heard)
-        self._rotor.step(dt_s, torque, speed, heard)
+        self.deficit.step(dt_s, torque, speed, heard)
+        self.rotor.step(dt_s, torque, speed, heard)
 
     def _judge(self, dt_s: float, speed_rad_s: float) -> None:
         """Alarm and kind, after a measurement."""
         config, kind = self._config, self.kind
-        deficit = abs(self._deficit.deficit_nm)
+        deficit = abs(self.deficit.deficit_nm)
         over = deficit > config.deficit_threshold_nm
         self._over_s = self._over_s + dt_s if over else 0.0
-        off = self._is_driver_off()
+        off = self._is_driver_off(kind)
         self._driver_off_s = self._driver_off_s + dt_s if off else 0.0
         if kind in (NONE, SILENT):
             late_s = 0.5 * dt_s  # so that five samples of a tenth of a second are half a second
             lacking = self._over_s > config.deficit_alarm_s - late_s
             if lacking:
-                self._rotor.doubt()
-            if not lacking and not self._driver_off_s > config.driver_alarm_s - late_s:
+                self.rotor.doubt()
+            odd = self._driver_off_s > config.driver_alarm_s - late_s
+            if odd and self._driver is not None:
+                self._driver.doubt()
+            if not lacking and not odd:
                 self.kind, self.confidence, self.sure = NONE, 0.0, False
                 self._in_use_s += dt_s
                 if self._tries and self._in_use_s > config.retry_s:
                     self._tries = 0  # it has done well for long enough
                 return
-            self._quiet_s = self._far_s = self._still_s = 0.0
+            self._quiet_s = self._far_s = self._still_s = self._beyond_s = self._dead_s = 0.0
             self._blown = False
             kind = UNKNOWN
         quiet = not off and deficit < 0.5 * config.deficit_threshold_nm
@@ -256,20 +260,22 @@ class WheelWatch:
     def _clear(self, kind: int, speed_rad_s: float) -> None:
         """The alarm is over. What was never told apart is forgotten."""
         if kind == UNKNOWN:
-            self._rotor.restart(speed_rad_s)
+            self.rotor.restart(speed_rad_s)
         self.kind, self.confidence, self.sure = NONE, 0.0, False
         self._over_s = 0.0
 
-    def _is_driver_off(self) -> bool:
+    def _is_driver_off(self, kind: int) -> bool:
         driver = self._driver
         if driver is None:
             return False
         off = abs(driver.gain - 1.0)
+        if kind in (DRIVER_GAIN, RUNAWAY, DEAD):
+            return off > OFF_STILL * self._config.driver_threshold
         return off > self._config.driver_threshold and off * off > DRIVER_SIGMAS * DRIVER_SIGMAS * driver.variance
 
     def _look_for_standstill(self, dt_s: float, speed_rad_s: float) -> None:
         """How long the rotor has stood although its motor would move it, or after a blow that stopped it."""
-        torque, deficit = abs(self._motor_nm), abs(self._deficit.deficit_nm)
+        torque, deficit = abs(self._motor_nm), abs(self.deficit.deficit_nm)
         if deficit > BLOW * self._max_torque_nm:
             self._blown = True
         held = torque > self._stiff_nm and deficit > HELD_PART * torque
@@ -281,7 +287,7 @@ class WheelWatch:
         if kind == SEIZED:
             return abs(speed_rad_s) > MOVING_RAD_S
         if kind in (TORQUE_GAIN, FRICTION, BIAS):
-            return abs(self._rotor.gain - 1.0) < NEAR_GAIN and abs(self._rotor.friction_nm) < NEAR_FRICTION_NM
+            return abs(self.rotor.gain - 1.0) < NEAR_GAIN and abs(self.rotor.friction_nm) < NEAR_FRICTION_NM
         return True
 
     def _classify(self, dt_s: float, kind: int, driver_off: bool) -> int:
@@ -291,11 +297,12 @@ class WheelWatch:
             self._far_s = self._far_s + dt_s if driver.mean_nis > FAR_NIS else 0.0
             self.confidence = 1.0
             gain = driver.gain
-            if gain > BEYOND_GAIN or gain < AGAINST_GAIN or self._far_s > FAR_S:
+            beyond = gain > BEYOND_GAIN or gain < AGAINST_GAIN
+            self._beyond_s = self._beyond_s + dt_s if beyond else 0.0
+            self._dead_s = self._dead_s + dt_s if -DEAD_GAIN < gain < DEAD_GAIN else 0.0
+            if kind == RUNAWAY or self._beyond_s > SURE_S or self._far_s > FAR_S:
                 return RUNAWAY
-            if kind == RUNAWAY and self._far_s > 0.0:
-                return RUNAWAY
-            return DEAD if abs(gain) < DEAD_GAIN else DRIVER_GAIN
+            return DEAD if self._dead_s > SURE_S else DRIVER_GAIN
         if kind == SEIZED or self._still_s > STILL_S - 0.5 * dt_s:
             self.confidence = 1.0
             return SEIZED
@@ -303,7 +310,7 @@ class WheelWatch:
 
     def _tell_gain_from_friction(self, kind: int) -> int:
         """By the odds of one against the other, once the data since the alarm can tell."""
-        rotor, sigma = self._rotor, self._config.gain_sigma
+        rotor, sigma = self.rotor, self._config.gain_sigma
         odds = rotor.weigh_gain()
         size = abs(odds)
         self.confidence = 1.0 / (1.0 + math.exp(-size)) if size < 700.0 else 1.0
