@@ -8,7 +8,23 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
-from bus.units import Deg, Ge, Gt, KgM2, Le, Mat3, NewtonMetre, NonNegative, Positive, RadS, Seconds, Unit, Vec3, Vec4
+from bus.units import (
+    Deg,
+    Ge,
+    Gt,
+    KgM2,
+    Le,
+    Lt,
+    Mat3,
+    NewtonMetre,
+    NonNegative,
+    Positive,
+    RadS,
+    Seconds,
+    Unit,
+    Vec3,
+    Vec4,
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -22,21 +38,65 @@ class BodyConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class WheelMotorConfig:
+    """Motor, driver, bearing and supply of a wheel of the ITHACO Type-A class. What is not given is the preset's, see
+    docs/wheels.md: each number there with its source.
+    """
+
+    preset: Literal["ithaco_a", "rw100", "low_drag"] = "ithaco_a"
+    inertia_kgm2: Annotated[KgM2, Gt(0)] | None = None  # rotor, about its spin axis: J
+    driver_gain_a_v: Annotated[float, Unit("A/V"), Gt(0)] | None = None  # G_d
+    torque_constant_nm_a: Annotated[float, Unit("N m/A"), Gt(0)] | None = None  # k_t
+    back_emf_v_s: Annotated[float, Unit("V s/rad"), Gt(0)] | None = None  # k_e
+    bandwidth_rad_s: Annotated[RadS, Gt(0)] | None = None  # of the driver, w_d
+    max_command_v: Annotated[float, Unit("V"), Gt(0)] | None = None
+    coulomb_nm: NonNegative | None = None  # dry friction tau_c [N m]
+    static_nm: NonNegative | None = None  # dry friction at rest tau_s, not less than coulomb_nm; None: the same [N m]
+    viscous_nm_s: NonNegative | None = None  # viscous friction at -30 degC, v0 [N m s/rad]
+    viscous_slope_nm_s_k: NonNegative | None = None  # by how much it falls with each degree, v1 [N m s/rad/K]
+    overspeed_rad_s: Annotated[RadS, Gt(0)] | None = None  # where the speed limiter sets in, w_s
+    overspeed_gain_v_s: Annotated[float, Unit("V s/rad"), Ge(0)] | None = None  # K_s
+    emf_gain: NonNegative | None = None  # feedback of the limiter of the back-EMF, K_f [V/V]
+    bus_v: Annotated[float, Unit("V"), Gt(1)] = 28.0
+    input_ohm: Annotated[float, Unit("ohm"), Ge(0)] = 2.0  # between bus and driver, R_in
+    bridge_ohm: Annotated[float, Unit("ohm"), Ge(0)] = 2.0  # R_B
+    quiescent_w: Annotated[float, Unit("W"), Ge(0)] = 3.0  # P_q
+    poles: Annotated[int, Ge(1)] = 36  # N
+    ripple: Annotated[float, Ge(0), Lt(1)] = 0.0  # share of the motor's torque, B; the real wheel's is 0.22
+    cogging_nm: NonNegative = 0.0  # C [N m]
+    noise_angle_rad: NonNegative = 0.0  # of the lubricant's torque noise, theta_a [rad]; the real wheel's is 0.05
+    noise_rate_rad_s: RadS = 0.2  # w_a
+    temperature_c: Annotated[float, Unit("degC"), Ge(-60), Le(120)] = 20.0  # of the motor at t = 0
+    ambient_c: Annotated[float, Unit("degC"), Ge(-60), Le(120)] = 20.0
+    thermal: bool = False  # whether the motor warms up; its viscous friction falls with that
+    thermal_resistance_k_w: Positive = 2.0  # [K/W]
+    heat_capacity_j_k: Positive = 900.0  # [J/K]
+    jitter: bool = False  # whether the rotor's imbalance acts on the body
+    static_imbalance_kg_m: NonNegative = 5e-6  # U_s [kg m]
+    dynamic_imbalance_kg_m2: NonNegative = 2e-6  # U_d [kg m^2]
+    position_b_m: Annotated[Vec3, Unit("m")] = (0.0, 0.0, 0.0)  # of the wheel, for the torque of its static imbalance
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class WheelConfig:
     """One reaction wheel. Nominal axis `mount`, true axis tilted and clocked (Zhang, Ye & Sun 2018, eq (3), exact form)."""
 
     mount: Literal["x", "y", "z", "skew"]
     tilt_deg: Deg = 0.0  # delta alpha
     clock_deg: Deg = 0.0  # delta beta
+    speed_rad_s: RadS = 0.0  # at t = 0, relative to the body
+    speed_noise_rad_s: NonNegative = 0.0  # tachometer, 1 sigma per sample
+    current_noise_a: NonNegative = 0.0  # telemetered current, 1 sigma per sample [A]
+    model: Literal["ideal", "ithaco"] = "ideal"  # ithaco: with motor, driver, bearing and supply, as `motor` says
+    motor: WheelMotorConfig | None = None  # of the ithaco model; None: preset ithaco_a
+    # of the ideal model alone
     inertia_kgm2: Annotated[KgM2, Gt(0)] = 0.01  # rotor, about its spin axis
     max_torque_nm: Annotated[NewtonMetre, Gt(0)] = 0.1
     max_speed_rad_s: Annotated[RadS, Gt(0)] = 1000.0
-    speed_rad_s: RadS = 0.0  # at t = 0, relative to the body
     torque_lag_s: Annotated[Seconds, Ge(0)] = 0.0  # first-order motor lag; 0: torque follows at once
     viscous_nm_s: NonNegative = 0.0  # drag torque per rad/s [N m s]
     coulomb_nm: NonNegative = 0.0  # dry friction [N m]
     motor_constant_nm_a: Positive = 0.05  # torque per ampere, for the telemetered current
-    speed_noise_rad_s: NonNegative = 0.0  # tachometer, 1 sigma per sample
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

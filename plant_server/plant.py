@@ -24,7 +24,7 @@ from plant_server.star_tracker import StarFrame, StarTracker
 from plant_server.truth import Truth
 from plant_server.validation import validate
 from plant_server.wheels.bank import Flags4, Status4, WheelBank
-from plant_server.wheels.ideal_bank import IdealBank
+from plant_server.wheels.four_wheels import FourWheels
 
 __all__ = ["FaultEvent", "Plant", "Samples", "Snapshot"]
 
@@ -145,7 +145,7 @@ class Plant:
             faults, step_s=self._seconds, steps_per_tick=count, seed=seed, plant=config
         )
         omega = scale(config.body.rate_deg_s, DEG)
-        self._wheels: WheelBank = IdealBank(config, timeline, self._seconds, seed, omega)
+        self._wheels: WheelBank = FourWheels(config, timeline, self._seconds, seed, omega)
         inertia = _symmetrise(config.body.inertia_kgm2)
         self._body = RigidBody(
             inertia, config.body.attitude_q, omega, self._wheels.h_b_nms, self._seconds, config.body.wheel_gyroscopic
