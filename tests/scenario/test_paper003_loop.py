@@ -1,6 +1,7 @@
 """Paper 003's scenario S003 in closed loop: the flight laws and the allocator around a plant written here, from the spec.
 
-Three ITHACO Type-A wheels on the body axes, sections 2.2 and 6.5: no ripple, no torque noise, 20 C, no sensor noise, no delay.
+Three ITHACO Type-A wheels on the body axes, sections 2.2 and 6.5: no ripple, no torque noise, 20 C, no sensor noise, no
+delay.
 Where numbers are given as printed they are those of section 6.6, from an independent integration.
 """
 
