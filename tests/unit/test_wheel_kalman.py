@@ -252,7 +252,7 @@ KINDS: dict[str, tuple[dict[str, Profile], int]] = {
 @pytest.mark.parametrize("command", [sine, slew], ids=["sine", "slew"])
 @pytest.mark.parametrize("case", KINDS)
 def test_faults_are_named_under_excitation(case: str, command: Profile) -> None:
-    """After 60 s of slews or of a 5 mN m sine the fault is called what it is, and never was called another gain or friction."""
+    """After 60 s of slews or of a 5 mN m sine the fault is called what it is, and was never called anything else."""
     faults, kind = KINDS[case]
     found = fly(make(), Rig(5, **faults), command, 80.0)
     assert found[-1].kind[0] == kind
@@ -421,7 +421,7 @@ def test_a_wheel_that_cannot_obey_and_says_so_is_not_accused() -> None:
 
 
 def test_a_runaway_wheel_is_switched_off_and_tried_again() -> None:
-    """Off once it is sure; tried again after retry_s, off again at once while the fault lasts, and back for good after it."""
+    """Off once it is sure; tried again after retry_s: off again while the fault lasts, back for good after it."""
     monitor = make(reaction="isolate", retry_s=10.0, retries=3)
     rig = Rig(7, stuck=lambda t: 0.6 if 20.0 <= t < 38.0 else math.nan)
     found = fly(monitor, rig, hold, 100.0)
