@@ -91,10 +91,14 @@ class WheelHealthMonitor(Algorithm):
     ) -> WheelHealth:
         """Advance by dt_s; return what is thought of the wheels now.
 
-        tau_rw_cmd_nm      : wheel torques commanded (as sent) over the interval that ends now [N m]
+        tau_rw_cmd_nm      : torques that the wheels were to give over the interval that ends now [N m]; as sent, unless
+                             `note_sent` said otherwise
         tau_fault_hat_b_nm : the observer's fault torque for that interval [N m]; None while no observer runs
         """
         raise NotImplementedError
+
+    def note_sent(self, tau_rw_sent_nm: Vec4) -> None:
+        """Called before `step` where the drive makes up for drag or gain: the torques that the frames carried [N m]."""
 
 
 @mypyc_attr(allow_interpreted_subclasses=True)

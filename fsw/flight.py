@@ -16,15 +16,26 @@ from bus.linear import ZERO3, add, cross, subtract, times
 from bus.units import Vec3
 from fsw import allocators, controllers, estimation, gyro_fdi, observers, wheel_health
 from fsw.config import FswConfig
-from fsw.drive import REST, command_wheels
+from fsw.drive import REST, Drive
 from fsw.executive import ExecutiveCounters
 from fsw.guidance import Guidance, timeline
 from fsw.guidance.guidance import feed_forward
 from fsw.inputs import Inputs
-from fsw.modes import POINT, STANDBY, Mode, ModeManager
+from fsw.modes import DEGRADED, POINT, STANDBY, Mode, ModeManager
 from fsw.outputs import Outputs
 from fsw.rate_mean import RateMean
-from fsw.records import HEALTHY, Allocation, Detection, Estimate, PointingError, Sensors, WheelCommands, WheelHealth
+from fsw.records import (
+    ALL_WHEELS,
+    HEALTHY,
+    Allocation,
+    Detection,
+    Estimate,
+    PointingError,
+    Sensors,
+    WheelCommands,
+    WheelHealth,
+    without,
+)
 from fsw.schedule import flight_schedule
 from fsw.vehicle import Vehicle
 
@@ -50,6 +61,7 @@ class Flight:
         self.wheel_health = wheel_health.REGISTRY.make(config.wheel_health, vehicle, control_s)
         self.controller = controllers.REGISTRY.make(config.controller, vehicle, control_s)
         self.allocator = allocators.REGISTRY.make(config.allocator, vehicle, control_s)
+        self.drive = Drive(config.drive, vehicle)
         self.guidance = Guidance(config.target_q)
         self.control_slot, self.diagnostics_slot = flight_schedule(config.executive.control_divider).open_slots()
         self._control_s = control_s
@@ -70,6 +82,8 @@ class Flight:
         self.wheel_commands: WheelCommands = REST
         self.torques_saturated = 0  # wheel torques so far that no frame could carry
         self.control_ran = False  # in the last cycle
+        self.out_of_reach = ""  # why the wheels in use do not reach all three axes; empty where they do
+        self._available = ALL_WHEELS
         self._mode_of_control = STANDBY
 
     def cycle(self, tick: int, batch: bytes, commands: Sequence[Command] = (), safe_requested: bool = False) -> bytes:
@@ -83,13 +97,14 @@ class Flight:
         inputs = self.inputs
         sensors = inputs.receive(tick, batch)
         estimate = self.estimator.step(sensors)
-        self.detection = detection = self.detector.step(sensors, estimate, self.wheel_commands.tau_rw_nm)
+        self.detection = detection = self.detector.step(sensors, estimate, self.wheel_commands.meant_nm)
         estimate = detection.estimate
         mode = self.modes.step(
             estimate.valid and sensors.star_valid,
             detection.rate_good,
             estimate.omega_bi_b_rad_s,
             safe_requested or detection.request_safe,
+            self.out_of_reach,
         )
         if detection.rate_step_b_rad_s != ZERO3:
             self.observer.shift_rate(detection.rate_step_b_rad_s)
@@ -126,22 +141,39 @@ class Flight:
             self.controller.reset()
         rate, wheels = estimate.omega_bi_b_rad_s, sensors.wheels
         momentum = self.vehicle.wheels.combine(sensors.wheel_momenta()) if self.vehicle.wheel_momentum else ZERO3
-        tau_rw_nm, mean_rate = self.wheel_commands.tau_rw_nm, self._rate_mean.take()
-        if mode is POINT:
+        tau_rw_nm, mean_rate = self.wheel_commands.meant_nm, self._rate_mean.take()
+        if self.drive.compensates:
+            self.wheel_health.note_sent(self.wheel_commands.tau_rw_nm)
+        if mode is POINT or mode is DEGRADED:
             tau_fault = self.observer.step(dt_s, mean_rate, self.tau_cmd_b_nm, momentum)
-            health = self.wheel_health.step(dt_s, wheels, tau_rw_nm, tau_fault)
+            health = self._judge(self.wheel_health.step(dt_s, wheels, tau_rw_nm, tau_fault))
             error = self.guidance.find_error(estimate.q_ib, rate)
             torque = self.controller.step(dt_s, error, subtract(tau_fault, health.explained_b_nm), health)
             if self._feed_forward and not self.guidance.target.at_rest:
                 torque = add(torque, self._follow_target(error, rate, momentum))
         else:
             tau_fault = ZERO3
-            health = self.wheel_health.step(dt_s, wheels, tau_rw_nm, None)
+            health = self._judge(self.wheel_health.step(dt_s, wheels, tau_rw_nm, None))
             error = self.guidance.find_error(estimate.q_ib, rate)
             torque = self._damp(mode, rate)
         self.tau_fault_hat_b_nm, self.health, self.error = tau_fault, health, error
         self.error_deg = 2.0 * math.acos(min(1.0, abs(error.q_tb[0]))) * DEG_PER_RAD
         self._drive(mode, torque, health)
+
+    def _judge(self, health: WheelHealth) -> WheelHealth:
+        """The health to reckon with: a wheel that is not fitted is not available, and gains that the drive makes up for are
+        nobody else's. Notes what the wheels that are left cannot reach."""
+        fitted = self.vehicle.fitted
+        if fitted != ALL_WHEELS:
+            health = without(health, fitted)
+        if self.drive.compensates:
+            health = self.drive.see(health)
+        if health.available != self._available:
+            self._available = available = health.available
+            axes = self.vehicle.wheels.count_axes(available)
+            out = ", ".join([f"wheel.{i + 1}" for i in (0, 1, 2, 3) if fitted[i] and not available[i]])
+            self.out_of_reach = "" if axes == 3 else f"the wheels in use span {axes} of three axes; out: {out}"
+        return health
 
     def _drive(self, mode: Mode, torque_b_nm: Vec3, health: WheelHealth) -> None:
         """Allocate a body torque and make the wheels' commands of it."""
@@ -149,9 +181,12 @@ class Flight:
             self.allocation, self.wheel_commands, self.tau_cmd_b_nm = Allocation(), REST, ZERO3
             return
         self.allocation = self.allocator.allocate(torque_b_nm, health)
-        self.wheel_commands = commands = command_wheels(self.allocation.tau_rw_nm, health)
+        tau_rw_nm = self.allocation.tau_rw_nm
+        if health.dither == 1:
+            tau_rw_nm = self.vehicle.wheels.add_within(tau_rw_nm, health.dither_rw_nm)
+        self.wheel_commands = commands = self.drive.command(tau_rw_nm, health, self.inputs.sensors.wheels)
         self.torques_saturated += commands.saturated
-        self.tau_cmd_b_nm = self.vehicle.wheels.combine(commands.tau_rw_nm)
+        self.tau_cmd_b_nm = self.vehicle.wheels.combine(commands.meant_nm)
 
     def _follow_target(self, error: PointingError, rate_b_rad_s: Vec3, momentum_b_nms: Vec3) -> Vec3:
         """The torque that a body needs which moves as the target does, body axes [N m]."""

@@ -10,6 +10,7 @@ from bus.commands import Command
 from bus.telemetry.link import Link, Row, TickPacker, announce_topics, pack_input, stamp
 from fsw.flight import Flight
 from fsw.modes import Mode
+from fsw.records import NO_KIND, WheelHealth
 from fsw.telemetry import (
     CONTROL_TOPICS,
     FIRST_CHANNEL,
@@ -22,6 +23,7 @@ from fsw.telemetry import (
     read_internals,
     read_tick,
 )
+from fsw.wheel_kinds import BIAS, DRIVER_GAIN, FRICTION, NONE, TORQUE_GAIN, UNKNOWN, WORDS
 
 SAFE_ASKED: Final = 1  # flags of /fsw/input
 SHEDDING: Final = 2
@@ -37,6 +39,7 @@ class FlightLog:
         self._tick_ns = tick_ns
         self._mode_changes = 0
         self._rivals_said: set[int] = set()
+        self._kinds, self._available, self._dither = NO_KIND, flight.vehicle.fitted, 0
         self._waited_for, self._since_tick, self._said = "", 0, False
         self._every_tick = TickPacker(TICK_TOPICS, FIRST_CHANNEL)
         self._on_control = TickPacker(CONTROL_TOPICS, FIRST_CHANNEL + len(TICK_TOPICS))
@@ -57,6 +60,9 @@ class FlightLog:
         self._say_mode(tick, t_ns)
         if flight.control_ran:
             self._say_rivals(t_ns)
+            health = flight.health
+            if health.kind != self._kinds or health.available != self._available or health.dither != self._dither:
+                self._say_wheels(health, t_ns)
         counters = flight.executive
         diagnostics = None
         control = read_control(flight) if flight.control_ran else None
@@ -94,12 +100,37 @@ class FlightLog:
                     self._rivals_said.add(can_id)
                     self.link.event(t_ns, "warning", "fsw", f"two senders of 0x{can_id:03X} on the bus")
 
+    def _say_wheels(self, health: WheelHealth, t_ns: int) -> None:
+        """A line for every wheel of which something else is thought, or that is taken out of use or into use again."""
+        event = self.link.event
+        for i in (0, 1, 2, 3):
+            name, kind = f"wheel.{i + 1}", health.kind[i]
+            if kind != self._kinds[i]:
+                level = "info" if kind == NONE else "warning"
+                event(t_ns, level, "fsw", f"{name}: {WORDS[kind]}{_tell_numbers(health, i)}")
+            if health.available[i] and not self._available[i]:
+                event(t_ns, "info", "fsw", f"{name} is used again")
+            elif self._available[i] and not health.available[i]:
+                event(t_ns, "warning", "fsw", f"{name} is switched off and not used")
+        if health.dither == 2 and self._dither != 2:
+            event(
+                t_ns,
+                "warning",
+                "fsw",
+                "a fault cannot be told apart: the wheels in use leave no null space to dither in",
+            )
+        elif health.dither == 1 and self._dither != 1:
+            event(t_ns, "info", "fsw", "dither in the wheels' null space, to tell a wheel's fault apart")
+        elif health.dither == 0 and self._dither == 1:
+            event(t_ns, "info", "fsw", "dither ends")
+        self._kinds, self._available, self._dither = health.kind, health.available, health.dither
+
     def _say_mode(self, tick: int, t_ns: int) -> None:
         """A line for every change of mode, and one for what a mode has been waiting for for WAIT_S."""
         modes = self._flight.modes
         if modes.changes != self._mode_changes:
             self._mode_changes = modes.changes
-            level = "warning" if modes.mode is Mode.SAFE else "info"
+            level = "warning" if modes.mode is Mode.SAFE or modes.mode is Mode.DEGRADED else "info"
             self.link.event(t_ns, level, "fsw", f"mode {modes.mode.name.lower()}: {modes.reason}")
             self._waited_for, self._said = "", False
         if modes.waits_for != self._waited_for:
@@ -107,3 +138,17 @@ class FlightLog:
         elif self._waited_for and not self._said and (tick - self._since_tick) * self._tick_ns >= WAIT_S * 1e9:
             self._said = True
             self.link.event(t_ns, "info", "fsw", f"mode {modes.mode.name.lower()} waits for {modes.waits_for}")
+
+
+def _tell_numbers(health: WheelHealth, wheel: int) -> str:
+    """The numbers that belong to what is thought of a wheel, in words."""
+    kind = health.kind[wheel]
+    if kind == UNKNOWN:
+        return f", {health.deficit_nm[wheel] * 1e3:.2f} mN m"
+    if kind == DRIVER_GAIN:
+        return f" {health.driver_gain[wheel]:.2f}"
+    if kind == TORQUE_GAIN:
+        return f" {health.torque_gain[wheel]:.2f}, confidence {health.confidence[wheel]:.2f}"
+    if kind in (FRICTION, BIAS):
+        return f" {health.friction_nm[wheel] * 1e3:.2f} mN m, confidence {health.confidence[wheel]:.2f}"
+    return ""

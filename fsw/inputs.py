@@ -62,6 +62,7 @@ class Inputs:
         self._tick_s = tick_s
         self._hold_ticks = modes.stale_after_ticks
         self._star_hold_s = modes.star_stale_after_s
+        self._fitted = vehicle.fitted
         self._rotor_inertia_kgm2 = vehicle.wheel_inertia_kgm2
         a, b, c, d = vehicle.wheel_max_speed_rad_s
         self._top_speed_rad_s: Vec4 = (2.0 * a, 2.0 * b, 2.0 * c, 2.0 * d)
@@ -91,7 +92,8 @@ class Inputs:
         self._tick = 0
         self._all_tick = NEVER  # on which every gyro axis and wheel spoke
         self._rate_tick = [NEVER, NEVER, NEVER]  # on which each spoke by itself
-        self._wheel_tick = [NEVER, NEVER, NEVER, NEVER]
+        # one that is not fitted has nothing to say, and is not missed
+        self._wheel_tick = [NEVER if fitted else -NEVER for fitted in self._fitted]
         self._star_a: tuple[int, int, float, float] | None = None
         self._q_ib = IDENTITY
         self._q_tick = NEVER  # tick at which the attitude was measured

@@ -4,9 +4,12 @@
     standby --rate good, and high or no attitude for a while--> detumble (or safe, where that is the initial mode)
     detumble --rate low and attitude good--> point        point --rate high--> detumble
     point --attitude or rate stale--> safe                detumble --rate stale--> safe
+    point --the wheels in use span fewer than three axes--> degraded --they span three again--> point
     any --safe requested--> safe --attitude and rate good for a while--> standby
 
 Detumble and safe mode damp the rate, for which a good rate is enough; without one the wheels are commanded to rest.
+Degraded is pointing with what is left: about the axes that the wheels still reach; the rate about the others drifts. It is
+left as pointing is.
 """
 
 from __future__ import annotations
@@ -24,9 +27,11 @@ class Mode(IntEnum):
     DETUMBLE = 1
     POINT = 2
     SAFE = 3
+    DEGRADED = 4
 
 
-STANDBY, DETUMBLE, POINT, SAFE = Mode  # for every cycle: `Mode.SAFE` is looked up through a property in Python 3.11
+# for every cycle: `Mode.SAFE` is looked up through a property in Python 3.11
+STANDBY, DETUMBLE, POINT, SAFE, DEGRADED = Mode
 
 
 class ModeManager:
@@ -50,24 +55,37 @@ class ModeManager:
         self._good_ticks = 0
         self._rate_ticks = 0  # with a good rate and nothing else
 
-    def step(self, attitude_good: bool, rate_good: bool, omega_bi_b_rad_s: Vec3, safe_requested: bool) -> Mode:
+    def step(
+        self,
+        attitude_good: bool,
+        rate_good: bool,
+        omega_bi_b_rad_s: Vec3,
+        safe_requested: bool,
+        out_of_reach: str = "",
+    ) -> Mode:
         """Mode of this cycle.
 
         attitude_good, rate_good : the estimate is fit for pointing / for damping
         safe_requested           : detection or the executive asks for safe mode
+        out_of_reach             : why the wheels do not reach all three axes, in words; empty where they do
         """
         good = attitude_good and rate_good and not safe_requested
         self._good_ticks = self._good_ticks + 1 if good else 0
         mode = self.mode
-        if mode is POINT and good:
+        if good and (mode is POINT or mode is DEGRADED):
             x, y, z = omega_bi_b_rad_s
             if x * x + y * y + z * z > self._detumble_above:
                 self._enter(DETUMBLE, "rate high")
+            elif mode is DEGRADED:
+                if out_of_reach == "":
+                    self._enter(POINT, "the wheels span three axes again")
+            elif out_of_reach != "":
+                self._enter(DEGRADED, out_of_reach)
         elif mode is STANDBY:
             self._leave_standby(good, rate_good, omega_bi_b_rad_s, safe_requested)
         elif mode is SAFE:
             self._leave_safe(attitude_good, rate_good, safe_requested)
-        elif safe_requested or not rate_good or (mode is POINT and not attitude_good):
+        elif safe_requested or not rate_good or (mode is not DETUMBLE and not attitude_good):
             self._enter(SAFE, _why(attitude_good, rate_good, safe_requested))
         else:
             self._leave_detumble(attitude_good, _square(omega_bi_b_rad_s))

@@ -15,6 +15,9 @@ from bus.units import Vec3, Vec4
 Flags3 = tuple[bool, bool, bool]  # one per gyro axis
 Flags4 = tuple[bool, bool, bool, bool]  # one per wheel
 ALL_AXES: Flags3 = (True, True, True)
+ONES4: Vec4 = (1.0, 1.0, 1.0, 1.0)
+Ints4 = tuple[int, int, int, int]
+NO_KIND: Ints4 = (0, 0, 0, 0)
 ALL_WHEELS: Flags4 = (True, True, True, True)
 NO_WHEEL: Flags4 = (False, False, False, False)
 
@@ -128,25 +131,66 @@ class Detection(Record):
 
 
 class WheelHealth(Record):
-    """What is thought of the four wheels."""
+    """What is thought of the four wheels. What a monitor does not know stays at its default."""
 
-    __slots__ = ("alarm", "available", "effectiveness", "explained_b_nm")
+    __slots__ = (
+        "alarm",
+        "available",
+        "confidence",
+        "deficit_nm",
+        "dither",
+        "dither_rw_nm",
+        "driver_gain",
+        "effectiveness",
+        "explained_b_nm",
+        "friction_nm",
+        "kind",
+        "torque_gain",
+    )
 
     def __init__(
         self,
-        effectiveness: Vec4 = (1.0, 1.0, 1.0, 1.0),
+        effectiveness: Vec4 = ONES4,
         available: Flags4 = ALL_WHEELS,
         alarm: Flags4 = NO_WHEEL,
         explained_b_nm: Vec3 = ZERO3,
+        driver_gain: Vec4 = ONES4,
+        torque_gain: Vec4 = ONES4,
+        friction_nm: Vec4 = ZERO4,
+        deficit_nm: Vec4 = ZERO4,
+        kind: Ints4 = NO_KIND,
+        confidence: Vec4 = ZERO4,
+        dither: int = 0,
+        dither_rw_nm: Vec4 = ZERO4,
     ) -> None:
         self.effectiveness = effectiveness  # share of its commanded torque that each gives, 0 .. 1
         self.available = available  # False: not to be used
         self.alarm = alarm  # True while a wheel's torque is not what was commanded
         # the part of the observer's fault torque that `effectiveness` accounts for
         self.explained_b_nm = explained_b_nm
+        self.driver_gain = driver_gain  # current against that of a sound driver, C_d
+        self.torque_gain = torque_gain  # torque against that of a sound motor at its current, C_t
+        self.friction_nm = friction_nm  # beyond the nominal, opposing the spin
+        self.deficit_nm = (
+            deficit_nm  # torque that the rotor lacks, whatever took it; about the wheel's axis, of the rotor
+        )
+        self.kind = kind  # of fault, see fsw/wheel_kinds.py
+        self.confidence = confidence  # that it is this kind, 0 .. 1; of one not known yet, the likelier's
+        self.dither = dither  # 0 off, 1 on, 2 asked for but the wheels in use leave no null space
+        self.dither_rw_nm = dither_rw_nm  # to be added to the wheels' torques; no torque on the body
 
 
 HEALTHY = WheelHealth()
+
+
+def without(health: WheelHealth, fitted: Flags4) -> WheelHealth:
+    """Return the same health with no wheel available that is not fitted."""
+    (p, q, r, s), (a, b, c, d) = health.available, fitted
+    return WheelHealth(
+        health.effectiveness, (p and a, q and b, r and c, s and d), health.alarm, health.explained_b_nm,
+        health.driver_gain, health.torque_gain, health.friction_nm, health.deficit_nm, health.kind, health.confidence,
+        health.dither, health.dither_rw_nm,
+    )  # fmt: skip
 
 
 class Target(Record):
@@ -192,11 +236,18 @@ class Allocation(Record):
 
 
 class WheelCommands(Record):
-    """What goes out to the wheels."""
+    """What goes out to the wheels, and what that is meant to do to the body.
 
-    __slots__ = ("modes", "saturated", "tau_rw_nm")
+    The two differ where the drive makes up for drag or lost gain: the frames then ask for more than the body is to feel.
+    Whoever models the wheel reckons with what was sent; law, observer and detectors with what was meant.
+    """
 
-    def __init__(self, modes: tuple[int, int, int, int], tau_rw_nm: Vec4, saturated: int) -> None:
+    __slots__ = ("meant_nm", "modes", "saturated", "tau_rw_nm")
+
+    def __init__(
+        self, modes: tuple[int, int, int, int], tau_rw_nm: Vec4, saturated: int, meant_nm: Vec4 | None = None
+    ) -> None:
         self.modes = modes  # of each command frame: 0 off, 1 torque
         self.tau_rw_nm = tau_rw_nm  # torque on the body, as the frames carry it
         self.saturated = saturated  # how many of the four had to be cut to what a frame can carry
+        self.meant_nm = tau_rw_nm if meant_nm is None else meant_nm  # torque that the body is to feel of it

@@ -45,6 +45,19 @@ KgM2 = Annotated[float, Unit("kg m^2"), Gt(0)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class WheelMotorConfig:
+    """A wheel's motor as the flight software knows it. `preset` fills the values; a value given beside it wins."""
+
+    preset: Literal["ithaco_a", "rw100"] = "ithaco_a"
+    driver_gain_a_v: Annotated[float, Unit("A/V"), Gt(0)] | None = None  # current for a volt of command
+    torque_constant_nm_a: Annotated[float, Unit("N m/A"), Gt(0)] | None = None
+    bandwidth_rad_s: Annotated[RadS, Gt(0)] | None = None  # of the driver
+    coulomb_nm: Annotated[float, Unit("N m"), Ge(0)] | None = None  # dry friction
+    viscous_nm_s: Annotated[float, Unit("N m s/rad"), Ge(0)] | None = None  # viscous friction, at 20 C
+    max_command_v: Annotated[float, Unit("V"), Gt(0)] | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class WheelModelConfig:
     """One wheel as the flight software knows it."""
 
@@ -52,6 +65,8 @@ class WheelModelConfig:
     max_torque_nm: NewtonMetre = 0.1
     max_speed_rad_s: Annotated[RadS, Gt(0)] = 1000.0
     inertia_kgm2: KgM2 = 0.01  # rotor, about its spin axis
+    motor: WheelMotorConfig | None = None  # None: one that gives its command at once, without friction
+    fitted: bool = True  # false: there is no wheel at this position, and it is never used
 
 
 FourWheels = tuple[WheelModelConfig, WheelModelConfig, WheelModelConfig, WheelModelConfig]
@@ -65,5 +80,14 @@ class ModelConfig:
     wheel_max_torque_nm: NewtonMetre = 0.1  # of each wheel, where `wheels` is not given
     wheel_max_speed_rad_s: Annotated[RadS, Gt(0)] = 1000.0
     wheel_inertia_kgm2: KgM2 = 0.01
+    wheel_motor: WheelMotorConfig | None = None
     wheels: FourWheels | None = None  # None: along x, y, z and (1, 1, 1)
     wheel_momentum: bool = True  # count the wheels' momentum in the gyroscopic term
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DriveConfig:
+    """What is added to the torques allocated before they are sent."""
+
+    friction: Literal["none", "nominal"] = "none"  # nominal: the drag of the wheels' motors is made up for
+    gain: Literal["none", "estimated"] = "none"  # estimated: and the gains and friction that wheel health estimates

@@ -5,21 +5,27 @@ from __future__ import annotations
 import math
 
 from bus.errors import ConfigError
-from bus.linear import invert_symmetric
+from bus.linear import ZERO3, invert_symmetric
 from bus.units import Mat3, Vec3, Vec4
+from fsw.records import Flags4
 from fsw.settings import ModelConfig, WheelModelConfig
 from fsw.wheel_geometry import SKEW, WheelGeometry
+from fsw.wheel_motor import WheelMotor, fill_motor
+
+FourMotors = tuple[WheelMotor | None, WheelMotor | None, WheelMotor | None, WheelMotor | None]
 
 
 class Vehicle:
     """The satellite, ready to compute with. Shared by all algorithms of a flight; nothing in it changes."""
 
     __slots__ = (
+        "fitted",
         "inertia_kgm2",
         "inverse_inertia",
         "wheel_inertia_kgm2",
         "wheel_max_speed_rad_s",
         "wheel_momentum",
+        "wheel_motors",
         "wheels",
     )
 
@@ -31,8 +37,10 @@ class Vehicle:
         a, b, c, d = config.wheels or _four_alike(config)
         self.wheel_max_speed_rad_s: Vec4 = (a.max_speed_rad_s, b.max_speed_rad_s, c.max_speed_rad_s, d.max_speed_rad_s)
         self.wheel_inertia_kgm2: Vec4 = (a.inertia_kgm2, b.inertia_kgm2, c.inertia_kgm2, d.inertia_kgm2)
+        self.fitted: Flags4 = (a.fitted, b.fitted, c.fitted, d.fitted)
+        self.wheel_motors: FourMotors = (_motor_of(a), _motor_of(b), _motor_of(c), _motor_of(d))
         self.wheels = WheelGeometry(
-            (_point(a.axis_b, 0), _point(b.axis_b, 1), _point(c.axis_b, 2), _point(d.axis_b, 3)),
+            (_point(a, 0), _point(b, 1), _point(c, 2), _point(d, 3)),
             (a.max_torque_nm, b.max_torque_nm, c.max_torque_nm, d.max_torque_nm),
         )
 
@@ -59,16 +67,25 @@ def _four_alike(config: ModelConfig) -> tuple[WheelModelConfig, ...]:
             max_torque_nm=config.wheel_max_torque_nm,
             max_speed_rad_s=config.wheel_max_speed_rad_s,
             inertia_kgm2=config.wheel_inertia_kgm2,
+            motor=config.wheel_motor,
         )
         for axis in axes
     )
 
 
-def _point(axis: Vec3, wheel: int) -> Vec3:
+def _motor_of(config: WheelModelConfig) -> WheelMotor | None:
+    return None if config.motor is None else fill_motor(config.motor)
+
+
+def _point(config: WheelModelConfig, wheel: int) -> Vec3:
+    """The unit vector of a wheel's axis; the zero vector where there is no wheel, so that nothing can come from there."""
+    axis = config.axis_b
     x, y, z = axis
     length = math.sqrt(x * x + y * y + z * z)
     if not length > 1e-6:
         raise ConfigError(f"model.wheels[{wheel}].axis_b = {axis} has no direction; its length is {length:g}")
+    if not config.fitted:
+        return ZERO3
     if abs(length - 1.0) < 1e-15:
         return axis
     return (x / length, y / length, z / length)

@@ -13,10 +13,12 @@ from typing import Final
 from bus.errors import ConfigError
 from bus.linear import ZERO4, cross, dot, invert_symmetric, times
 from bus.units import Mat3, Vec3, Vec4
+from fsw.records import ALL_WHEELS, Flags4
 
 SKEW: Final = 1.0 / math.sqrt(3.0)  # of each body axis in the direction of the wheel that is askew to all
 PARALLEL: Final = 1e-9  # sine of the angle below which two axes are one
 FLAT: Final = 1e-6  # determinant of D0 D0^T below which the axes lie in a plane
+THIN: Final = 1e-3  # sine of the angle below which an axis adds no direction that could be used
 NOTHING_NM: Final = 1e-12  # far below any torque, keeps a quotient finite
 WheelAxes = tuple[Vec3, Vec3, Vec3, Vec3]
 
@@ -27,7 +29,10 @@ class WheelGeometry:
     __slots__ = ("_facets", "_rows", "_spread", "axes_b", "max_torque_nm")
 
     def __init__(self, axes_b: WheelAxes, max_torque_nm: Vec4) -> None:
-        """axes_b: unit vectors, body axes. Raises ConfigError where they lie in one plane: an axis is then out of reach."""
+        """axes_b: unit vectors, body axes; zero for a wheel that is not there.
+
+        Raises ConfigError where they lie in one plane: an axis is then out of reach.
+        """
         self.axes_b = axes_b
         self.max_torque_nm = max_torque_nm
         (ax, ay, az), (bx, by, bz), (cx, cy, cz), (dx, dy, dz) = axes_b
@@ -89,6 +94,16 @@ class WheelGeometry:
             -ld if d < -ld else ld if d > ld else d,
         )
 
+    def add_within(self, tau_rw_nm: Vec4, more_nm: Vec4) -> Vec4:
+        """Return the wheel torques with others added, by one factor up to 1 that keeps every wheel in its limit [N m]."""
+        factor = 1.0
+        for torque, add, limit in zip(tau_rw_nm, more_nm, self.max_torque_nm, strict=True):
+            if add != 0.0:
+                room = (limit - abs(torque)) / abs(add)
+                factor = min(factor, room if room > 0.0 else 0.0)
+        (a, b, c, d), (p, q, r, s) = tau_rw_nm, more_nm
+        return (a + factor * p, b + factor * q, c + factor * r, d + factor * s)
+
     def find_load(self, tau_rw_nm: Vec4) -> float:
         """Return the largest share of its limit that a wheel is asked for [1]."""
         a, b, c, d = tau_rw_nm
@@ -116,6 +131,35 @@ class WheelGeometry:
             if m < worst:
                 worst = m
         return now, worst
+
+    def count_axes(self, available: Flags4) -> int:
+        """Return how many independent directions of torque these wheels have, 0 .. 3."""
+        axes = [axis for axis, use in zip(self.axes_b, available, strict=True) if use and dot(axis, axis) > 0.0]
+        if not axes:
+            return 0
+        first = axes[0]
+        for other in axes[1:]:
+            normal = cross(first, other)
+            square = dot(normal, normal)
+            if square > THIN * THIN:
+                least = THIN * math.sqrt(square)
+                return 3 if any(abs(dot(normal, axis)) > least for axis in axes) else 2
+        return 1
+
+    def find_null(self, available: Flags4) -> Vec4:
+        """Return the wheel torques, the largest of them 1, that add up to nothing on the body; zeros where there are none.
+
+        By cofactors of D0: one wheel more than axes is needed, and all four to be available.
+        """
+        if available != ALL_WHEELS:
+            return ZERO4
+        a, b, c, d = self.axes_b
+        p, q = dot(cross(b, c), d), -dot(cross(a, c), d)
+        r, s = dot(cross(a, b), d), -dot(cross(a, b), c)
+        largest = max(abs(p), abs(q), abs(r), abs(s))
+        if not largest > THIN:
+            return ZERO4
+        return (p / largest, q / largest, r / largest, s / largest)
 
     def find_largest(self, row: Vec3) -> float:
         """Return the largest |row . tau_b| that the wheels can give, each within its limit, in row's unit times N m."""

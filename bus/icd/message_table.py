@@ -18,7 +18,8 @@ ROWS = (
     ((129, "CYCLE_DONE", "FSW", ("PLANT",), "tick", 10, 129), (
         ("CHECKSUM", 0, 8, False, 1, 0, 255, "", ()),
         ("COUNTER", 8, 4, False, 1, 0, 15, "", ()),
-        ("MODE", 12, 4, False, 1, 0, 15, "", ((0, "standby"), (1, "detumble"), (2, "point"), (3, "safe"))),
+        ("MODE", 12, 4, False, 1, 0, 15, "",
+         ((0, "standby"), (1, "detumble"), (2, "point"), (3, "safe"), (4, "degraded"))),
         ("TICK", 16, 32, False, 1, 0, 4294967295, "", ()),
         ("SLIPS", 48, 16, False, 1, 0, 65535, "", ()),
     )),

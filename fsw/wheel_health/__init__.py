@@ -5,12 +5,22 @@ from __future__ import annotations
 from fsw.families import WheelHealthMonitor
 from fsw.registry import Registry
 from fsw.wheel_health.none import NoWheelHealth
-from fsw.wheel_health.settings import NoWheelHealthConfig, ShareLearnerConfig, TorqueMonitorConfig
+from fsw.wheel_health.settings import (
+    NoWheelHealthConfig,
+    ShareLearnerConfig,
+    TorqueMonitorConfig,
+    WheelKalmanConfig,
+    WheelKalmanPaperConfig,
+)
 from fsw.wheel_health.share_learner import ShareLearner
 from fsw.wheel_health.torque_monitor import TorqueMonitor
+from fsw.wheel_health.wheel_kalman import WheelKalman
+from fsw.wheel_health.wheel_kalman_paper import WheelKalmanPaper
 
 REGISTRY: Registry[WheelHealthMonitor] = Registry(
     (NoWheelHealthConfig, NoWheelHealth),
     (ShareLearnerConfig, ShareLearner),
     (TorqueMonitorConfig, TorqueMonitor),
+    (WheelKalmanConfig, WheelKalman),
+    (WheelKalmanPaperConfig, WheelKalmanPaper),
 )
