@@ -102,7 +102,7 @@ WHEEL_HEALTH = Topic(
             4,
             "1",
             "0 nominal, 1 deficit of unknown cause, 2 driver gain, 3 torque gain, 4 friction, 5 bias, 6 seized, "
-            "7 runaway, 8 no current, 9 no telemetry",
+            "7 runaway, 8 no torque, 9 no telemetry",
         ),
         Field("confidence", "float64", 4, "1", "that it is this kind"),
         Field("dither", "float64", 1, "1", "0 off, 1 on, 2 asked for but the wheels in use leave no null space"),

@@ -12,7 +12,7 @@ FRICTION: Final = 4  # or a steady torque that opposes the spin: the same while 
 BIAS: Final = 5  # a steady torque that drives the spin
 SEIZED: Final = 6
 RUNAWAY: Final = 7  # a current that is not the command's: stuck, or against it
-DEAD: Final = 8  # no current, whatever the command
+DEAD: Final = 8  # no current, or no torque of it, whatever the command
 SILENT: Final = 9  # no telemetry: nothing is known
 WORDS: Final = {
     NONE: "nominal",
@@ -23,6 +23,6 @@ WORDS: Final = {
     BIAS: "bias torque",
     SEIZED: "seized",
     RUNAWAY: "runaway",
-    DEAD: "no current",
+    DEAD: "no torque",
     SILENT: "no telemetry",
 }

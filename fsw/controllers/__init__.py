@@ -3,7 +3,17 @@
 from __future__ import annotations
 
 from fsw.controllers.braking_profile import BrakingProfile
-from fsw.controllers.settings import BrakingProfileConfig, SmcConfig, VariableStructureConfig
+from fsw.controllers.fuzzy_pid import FuzzyPid
+from fsw.controllers.pid import Pid
+from fsw.controllers.rate_pid import RatePid
+from fsw.controllers.settings import (
+    BrakingProfileConfig,
+    FuzzyPidConfig,
+    PidConfig,
+    RatePidConfig,
+    SmcConfig,
+    VariableStructureConfig,
+)
 from fsw.controllers.smc import SlidingMode
 from fsw.controllers.variable_structure import VariableStructure
 from fsw.families import Controller
@@ -11,6 +21,9 @@ from fsw.registry import Registry
 
 REGISTRY: Registry[Controller] = Registry(
     (BrakingProfileConfig, BrakingProfile),
+    (FuzzyPidConfig, FuzzyPid),
+    (PidConfig, Pid),
+    (RatePidConfig, RatePid),
     (SmcConfig, SlidingMode),
     (VariableStructureConfig, VariableStructure),
 )

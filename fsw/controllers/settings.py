@@ -5,7 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from bus.units import Ge, Gt, Le, Positive
+from bus.units import Ge, Gt, Le, Lt, NonNegative, Positive, RadS, Unit
+
+Gains3 = tuple[NonNegative, NonNegative, NonNegative]  # per body axis
+TorqueLimit = Annotated[float, Unit("N m"), Gt(0)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,6 +27,60 @@ class BrakingProfileConfig:
     eta_far: Annotated[float, Gt(0), Le(1)] = 0.3  # share planned on far from the target, where a fault costs most [1]
     far_rad: Positive = 0.25  # distance over which eta passes to eta_far
     reserve: Annotated[float, Ge(0), Le(1)] = 0.2  # weight of "one more wheel fails" in the braking authority [1]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FuzzyPidConfig:
+    """PID with fuzzy rules over angle and rate that set its gains: those of `rate_pid` (base: rate) or `pid` (engineering).
+
+    Defaults are those of paper 003; docs/fuzzy-pid.md says what they are worth.
+    """
+
+    kind: Literal["fuzzy_pid"]
+    base: Literal["rate", "engineering"] = "rate"
+    tables: Literal["canonical", "even"] = "canonical"  # even: a turn to the left is flown as one to the right
+    inference: Literal["min", "prod"] = "min"  # AND of two memberships
+    kp: Gains3 | None = None  # K0; with base rate none: 0.7, 3 and 0 on each axis; with engineering as those of pid
+    ki: Gains3 | None = None  # give all three gains or none
+    kd: Gains3 | None = None  # their units are those of rate_pid or of pid
+    kp_span: NonNegative = 100.0  # base rate: the most that the rules add to kp [N m s/rad]
+    ki_span: NonNegative = 1.0  # and to ki [N m/rad]
+    kd_span: NonNegative = 10.0  # and to kd [N m s^2/rad]
+    alpha_share: Annotated[float, Gt(0), Le(1)] = 0.5  # base rate: weight of the newest acceleration [1]
+    angle_scale_rad: Positive | None = None  # angle at the end of the rules' universe; none: 0.04, engineering: 0.02
+    rate_scale_rad_s: Positive | None = None  # rate there; none: 0.04, engineering: 0.005
+    rho: Annotated[float, Ge(0), Lt(1)] = 0.5  # base engineering: K = K0 (1 + rho F) [1]
+    frequency_rad_s: Annotated[RadS, Gt(0)] = 0.25  # base engineering: as those of pid
+    damping: Positive = 1.0  # likewise [1]
+    integral_rad_s: NonNegative = 0.02  # likewise [rad/s]
+    limit_nm: TorqueLimit | None = None  # likewise: torque about each axis from which on the integral stands
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PidConfig:
+    """PID on the angle with anti-windup. Gains from frequency, damping and integral pole, or given."""
+
+    kind: Literal["pid"]
+    frequency_rad_s: Annotated[RadS, Gt(0)] = 0.25  # of the loop's fast pair of poles
+    damping: Positive = 1.0  # of that pair [1]
+    integral_rad_s: NonNegative = 0.02  # the slow pole; 0.01 is enough where drag is made up for
+    kp: Gains3 | None = None  # per body axis [N m/rad]; all three gains or none
+    ki: Gains3 | None = None  # [N m/(rad s)]
+    kd: Gains3 | None = None  # [N m s/rad]
+    limit_nm: TorqueLimit | None = (
+        None  # torque about each axis from which on the integral stands; none: the wheels' own
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RatePidConfig:
+    """The plain PID of paper 003: P on the rate, I on the angle, D on the acceleration. Defaults are the paper's."""
+
+    kind: Literal["rate_pid"]
+    kp: Gains3 = (0.7, 0.7, 0.7)  # on the rate, per body axis [N m s/rad]
+    ki: Gains3 = (3.0, 3.0, 3.0)  # on the angle, the integral of the rate [N m/rad]
+    kd: Gains3 = (0.0, 0.0, 0.0)  # on the acceleration [N m s^2/rad]
+    alpha_share: Annotated[float, Gt(0), Le(1)] = 0.5  # weight of the newest acceleration, per step [1]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -59,6 +59,11 @@ class DriverFilter:
         self.mean_nis = 1.0
         self.torque_nm = 0.0
 
+    def anchor(self, current_a: float) -> None:
+        """Take a current as it is measured, after a time in which there was none; the gain stays."""
+        self.current_a = current_a
+        self._p_ii, self._p_ic = FIRST_CURRENT_A2, 0.0
+
     def doubt(self) -> None:
         """Forget how sure the gain was, not what it is: it then follows within a few measurements."""
         self.variance = self._p_cc = FIRST_GAIN

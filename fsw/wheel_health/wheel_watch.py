@@ -204,8 +204,16 @@ class WheelWatch:
         self.rotor.restart(reading.speed_rad_s)
 
     def _filter(self, dt_s: float, torque_cmd_nm: float, reading: WheelReading, heard: bool) -> None:
-        """All three filters; after a time without telemetry, speeds begin anew at what is measured."""
+        """All three filters; after a time without telemetry, speed and current begin anew at what is measured."""
         speed, driver = reading.speed_rad_s, self._driver
+        if heard and self._gap:
+            self._gap = False
+            self.deficit.anchor(speed)
+            self.rotor.anchor(speed)
+            if driver is not None:
+                driver.anchor(reading.current_a)
+            return
+        self._gap = not heard
         torque = -torque_cmd_nm
         if driver is not None:
             command_v, most = torque * self._drive_v_nm, self._max_v
@@ -213,12 +221,6 @@ class WheelWatch:
             driver.step(dt_s, command_v, reading.current_a, heard)
             torque, self.driver_gain = driver.torque_nm, driver.gain
         self._motor_nm = torque
-        if heard and self._gap:
-            self._gap = False
-            self.deficit.anchor(speed)
-            self.rotor.anchor(speed)
-            return
-        self._gap = not heard
         self.deficit.step(dt_s, torque, speed, heard)
         self.rotor.step(dt_s, torque, speed, heard)
 
@@ -318,7 +320,7 @@ class WheelWatch:
         if not self.sure or size < self._log_odds:
             return kind if kind in (TORQUE_GAIN, FRICTION, BIAS) else UNKNOWN
         if odds > 0.0:
-            return TORQUE_GAIN
+            return DEAD if rotor.gain < DEAD_GAIN and self._still_s == 0.0 else TORQUE_GAIN
         # Friction can fall to nothing, and half of it may be the temperature's; what drives the rotor beyond that is none.
         spread = 2.0 * math.sqrt(max(0.0, rotor.friction_variance))
         return BIAS if rotor.friction_nm < -self._config.deficit_threshold_nm - spread else FRICTION

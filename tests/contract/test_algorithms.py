@@ -33,6 +33,12 @@ FAMILIES = (estimation, gyro_fdi, observers, wheel_health, controllers, allocato
 VARIANTS: dict[str, list[dict[str, Any]]] = {  # beside the default settings of each kind
     "smc": [{"beta_law": "lyapunov"}, {"beta_law": "fixed"}],
     "braking_profile": [{"adapt": False}],
+    "fuzzy_pid": [
+        {"base": "engineering", "tables": "even"},
+        {"base": "engineering"},
+        {"tables": "even"},
+        {"inference": "prod"},
+    ],
     "pseudo_inverse": [{"saturation": "direction"}],
     "ilo": [{"k1": 1.0, "k2": 20.0, "k3": 0.0}],
     "torque_monitor": [{"reaction": "report"}],

@@ -150,3 +150,33 @@ def test_every_wait_is_named() -> None:
     modes.step(True, True, SLOW, False)
     modes.step(True, True, SLOW, False)
     assert (modes.mode, modes.waits_for) == (Mode.STANDBY, "")
+
+
+def test_pointing_goes_on_with_the_axes_that_are_left() -> None:
+    """Point becomes degraded, with the reason, while the wheels do not reach three axes, and point again when they do."""
+    modes = ModeManager(ModesConfig(), TICK_S)
+    modes.step(True, True, STILL, False)
+    assert modes.step(True, True, STILL, False, "wheels 1 and 2 are out") is Mode.DEGRADED
+    assert modes.reason == "wheels 1 and 2 are out"
+    assert modes.step(True, True, STILL, False, "wheels 1 and 2 are out") is Mode.DEGRADED
+    assert modes.changes == 2
+    assert modes.step(True, True, STILL, False) is Mode.POINT
+
+
+def test_degraded_is_left_as_pointing_is() -> None:
+    """A high rate leads to detumble, the loss of attitude or rate or a request to safe; damping is not called degraded."""
+    for attitude, rate, request, left in (
+        (False, True, False, Mode.SAFE),
+        (True, False, False, Mode.SAFE),
+        (True, True, True, Mode.SAFE),
+    ):
+        modes = ModeManager(ModesConfig(), TICK_S)
+        modes.step(True, True, STILL, False)
+        modes.step(True, True, STILL, False, "out")
+        assert modes.step(attitude, rate, STILL, request, "out") is left
+        assert modes.step(True, True, STILL, False, "out") is left
+    modes = ModeManager(ModesConfig(), TICK_S)
+    modes.step(True, True, STILL, False)
+    modes.step(True, True, STILL, False, "out")
+    assert modes.step(True, True, SPINNING, False, "out") is Mode.DETUMBLE
+    assert modes.step(True, True, SPINNING, False, "out") is Mode.DETUMBLE
