@@ -46,6 +46,7 @@ class WheelKalmanConfig:
     kind: Literal["wheel_kalman"]
     current_noise_a: Annotated[float, Unit("A"), Gt(0)] = 1e-3  # of the telemetry, 1 sigma
     speed_noise_rad_s: Annotated[RadS, Gt(0)] = 0.05
+    command_latency_s: Annotated[Seconds, Ge(0)] = 0.0  # that passes until a wheel has its command
     deficit_walk_nm_sqrt_s: Annotated[float, Gt(0)] = 2e-4  # how fast a torque deficit may wander [N m/sqrt(s)]
     deficit_threshold_nm: TorqueSetting = 6e-4  # a deficit beyond it ...
     deficit_alarm_s: Annotated[Seconds, Gt(0)] = 0.5  # ... for this long is an alarm

@@ -59,6 +59,8 @@ class WheelWatch:
         "_gap",
         "_in_use_s",
         "_isolates",
+        "_last_nm",
+        "_late_s",
         "_log_odds",
         "_longest_s",
         "_max_torque_nm",
@@ -92,6 +94,7 @@ class WheelWatch:
         """motor: None of one that gives its command at once and without friction; its current is not looked at."""
         self._config = config
         self._isolates = config.reaction == "isolate"
+        self._late_s = config.command_latency_s
         self._longest_s = LONGEST_PERIODS * period_s
         coulomb_nm = viscous_nm_s = 0.0
         torque_noise_nm = config.current_noise_a * 0.03  # of a motor that is not known
@@ -131,7 +134,7 @@ class WheelWatch:
         self._beyond_s = self._dead_s = self._over_s = self._quiet_s = self._driver_off_s = self._far_s = (
             self._still_s
         ) = 0.0
-        self._out_s = self._in_use_s = self._motor_nm = 0.0
+        self._last_nm = self._out_s = self._in_use_s = self._motor_nm = 0.0
         self._blown = False
         self.driver_gain = 1.0
         if self._driver is not None:
@@ -168,6 +171,7 @@ class WheelWatch:
         if not self._started:
             if valid:
                 self._start(reading)
+                self._last_nm = -torque_cmd_nm
             else:
                 self._note_silence()
             return
@@ -214,15 +218,31 @@ class WheelWatch:
                 driver.anchor(reading.current_a)
             return
         self._gap = not heard
-        torque = -torque_cmd_nm
-        if driver is not None:
-            command_v, most = torque * self._drive_v_nm, self._max_v
-            command_v = -most if command_v < -most else most if command_v > most else command_v
-            driver.step(dt_s, command_v, reading.current_a, heard)
-            torque, self.driver_gain = driver.torque_nm, driver.gain
+        torque, late_s = -torque_cmd_nm, self._late_s
+        if late_s > 0.0:  # for a part of the time the command before was still in force
+            last, self._last_nm = self._last_nm, torque
+            if late_s >= dt_s:
+                torque = self._drive(dt_s, last, reading, heard)
+            else:
+                before = self._drive(late_s, last, reading, False)
+                after = self._drive(dt_s - late_s, torque, reading, heard)
+                torque = (late_s * before + (dt_s - late_s) * after) / dt_s
+        else:
+            torque = self._drive(dt_s, torque, reading, heard)
         self._motor_nm = torque
         self.deficit.step(dt_s, torque, speed, heard)
         self.rotor.step(dt_s, torque, speed, heard)
+
+    def _drive(self, dt_s: float, torque_nm: float, reading: WheelReading, heard: bool) -> float:
+        """Mean torque of a sound motor at the current that the driver makes of a command, both of the rotor [N m]."""
+        driver = self._driver
+        if driver is None:
+            return torque_nm
+        command_v, most = torque_nm * self._drive_v_nm, self._max_v
+        command_v = -most if command_v < -most else most if command_v > most else command_v
+        driver.step(dt_s, command_v, reading.current_a, heard)
+        self.driver_gain = driver.gain
+        return driver.torque_nm
 
     def _judge(self, dt_s: float, speed_rad_s: float) -> None:
         """Alarm and kind, after a measurement."""
