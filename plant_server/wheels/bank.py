@@ -6,14 +6,12 @@ from collections.abc import Sequence
 
 from mypy_extensions import mypyc_attr
 
-from bus.linear import ZERO4
 from bus.units import Mat3, Vec3, Vec4
 from bus.wheels import OFF, TORQUE
 
 Status4 = tuple[int, int, int, int]
 Flags4 = tuple[bool, bool, bool, bool]
 NO_WHEEL: Flags4 = (False, False, False, False)
-NO_BITS: Status4 = (0, 0, 0, 0)
 ON_TIME: Status4 = (0, 0, 0, 0)
 IDEAL = "ideal"  # `model` of a wheel that has neither supply nor temperature to report
 
@@ -36,14 +34,15 @@ class WheelBank:
 
     __slots__ = ()
 
-    has_slow_telemetry: Flags4 = NO_WHEEL  # which send RWi_TEMP and RWi_POWER once a second; settled at the start
-    temperature_c: Vec4 = ZERO4  # of the motors [degC]
+    # written out: the compiler takes literals as values of attributes, and no names of tuples
+    has_slow_telemetry: Flags4 = (False, False, False, False)  # which send RWi_TEMP and RWi_POWER; settled at the start
+    temperature_c: Vec4 = (0.0, 0.0, 0.0, 0.0)  # of the motors [degC]
     ambient_c: float = 20.0  # of what surrounds them, their drivers included [degC]
     bus_v: float = 0.0  # voltage of the supply [V]
-    bus_current_a: Vec4 = ZERO4  # drawn from it [A]; negative while a motor feeds power back
-    latch: Status4 = NO_BITS  # bits of bus/wheels.py that each has set and not cleared
-    late_ticks: Status4 = ON_TIME  # each sends the fast telemetry of so many ticks ago,
-    counter_frozen: Flags4 = NO_WHEEL  # and with an alive counter that stands
+    bus_current_a: Vec4 = (0.0, 0.0, 0.0, 0.0)  # drawn from it [A]; negative while a motor feeds power back
+    latch: Status4 = (0, 0, 0, 0)  # bits of bus/wheels.py that each has set and not cleared
+    late_ticks: Status4 = (0, 0, 0, 0)  # each sends the fast telemetry of so many ticks ago,
+    counter_frozen: Flags4 = (False, False, False, False)  # and with an alive counter that stands
 
     speed_rad_s: Vec4  # of the rotors, relative to the body
     h_b_nms: Vec3  # spin momentum of the rotors, absolute, body axes
