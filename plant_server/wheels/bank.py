@@ -35,14 +35,15 @@ class WheelBank:
 
     __slots__ = ()
 
-    has_slow_telemetry: Flags4  # which send RWi_TEMP and RWi_POWER once a second; settled at the start
-    temperature_c: Vec4  # of the motors [degC]
-    ambient_c: float  # of what surrounds them, their drivers included [degC]
-    bus_v: float  # voltage of the supply [V]
-    bus_current_a: Vec4  # drawn from it [A]; negative while a motor feeds power back
-    latch: Status4  # bits of bus/wheels.py that each has set and not cleared
-    late_ticks: Status4  # each sends the fast telemetry of so many ticks ago,
-    counter_frozen: Flags4  # and with an alive counter that stands
+    # written out: the compiler takes literals as values of attributes, and no names of tuples
+    has_slow_telemetry: Flags4 = (False, False, False, False)  # which send RWi_TEMP and RWi_POWER; settled at the start
+    temperature_c: Vec4 = (0.0, 0.0, 0.0, 0.0)  # of the motors [degC]
+    ambient_c: float = 20.0  # of what surrounds them, their drivers included [degC]
+    bus_v: float = 0.0  # voltage of the supply [V]
+    bus_current_a: Vec4 = (0.0, 0.0, 0.0, 0.0)  # drawn from it [A]; negative while a motor feeds power back
+    latch: Status4 = (0, 0, 0, 0)  # bits of bus/wheels.py that each has set and not cleared
+    late_ticks: Status4 = (0, 0, 0, 0)  # each sends the fast telemetry of so many ticks ago,
+    counter_frozen: Flags4 = (False, False, False, False)  # and with an alive counter that stands
 
     speed_rad_s: Vec4  # of the rotors, relative to the body
     h_b_nms: Vec3  # spin momentum of the rotors, absolute, body axes

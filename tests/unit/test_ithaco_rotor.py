@@ -148,6 +148,8 @@ def test_friction_of_rest_and_temperature() -> None:
     state = WheelDisturbance()
     for speed in (0.2, 0.42, 1.5, 80.0):
         dry = 0.002 + 0.004 * math.exp(-((speed / 0.42) ** 2))
-        assert rotor.find_friction(speed, state) == pytest.approx(math.tanh(speed / 0.1) * dry + 3.9e-5 * speed, rel=1e-12)
+        assert rotor.find_friction(speed, state) == pytest.approx(
+            math.tanh(speed / 0.1) * dry + 3.9e-5 * speed, rel=1e-12
+        )
     rotor.temperature_c = 250.0
     assert rotor.find_friction(100.0, state) == pytest.approx(0.002 + 5e-4, rel=1e-9)
