@@ -58,6 +58,13 @@ REACH: dict[str, Reach] = {
     "N m": Reach(1e-12, 1e4),
     "kg m^2": Reach(1e-9, 1e7),
     "km": Reach(1e-3, 1e9),
+    "A": Reach(1e-9, 1e4),
+    "V": Reach(1e-6, 1e6),
+    "A/V": Reach(1e-6, 1e4),
+    "N m/A": Reach(1e-9, 1e4),
+    "N m s/rad": Reach(1e-15, 1e4),
+    "ohm": Reach(1e-6, 1e6),
+    "H": Reach(1e-9, 1e4),
 }
 ANY_REACH = Reach(1e-18, 1e12)  # of a number without one of these units
 WHOLE_REACH = 1_000_000_000  # magnitude of a whole number that has no limit of its own
