@@ -29,6 +29,7 @@ _SIGNAL = find_signal("RW1_CMD", "TORQUE")
 _SCALE: Final = _SIGNAL.scale
 _LEAST: Final = round(_SIGNAL.minimum / _SCALE)
 _LARGEST: Final = round(_SIGNAL.maximum / _SCALE)
+ESTIMATES: Final = "wheel_kalman"  # the kind of wheel health that estimates gains and friction
 LEAST_GAIN: Final = 0.1  # a gain below this is made up for as if it were this
 REST = WheelCommands(ALL_OFF, ZERO4, 0)
 
@@ -59,8 +60,16 @@ def command_wheels(tau_rw_nm: Vec4, health: WheelHealth) -> WheelCommands:
 class Drive:
     """Commands the wheels, and makes up for their drag and lost gain as far as the settings say."""
 
-    def __init__(self, config: DriveConfig, vehicle: Vehicle) -> None:
-        """Raises ConfigError where drag is to be made up for and a wheel's motor is not known."""
+    def __init__(self, config: DriveConfig, vehicle: Vehicle, monitor: str = ESTIMATES) -> None:
+        """monitor : the kind of wheel health that flies along.
+
+        Raises ConfigError where drag is to be made up for and a motor is not known, or gains and nobody estimates them.
+        """
+        if config.gain == "estimated" and monitor != ESTIMATES:
+            raise ConfigError(
+                f"drive.gain: estimated needs gains, and wheel_health: {monitor} estimates none; "
+                f"take wheel_health: {{kind: {ESTIMATES}}} or drive.gain: none"
+            )
         self._nominal = config.friction == "nominal"
         self._estimated = config.gain == "estimated"
         self.compensates = self._nominal or self._estimated

@@ -112,6 +112,13 @@ def test_drag_of_a_motor_that_is_not_known_is_refused() -> None:
     )
 
 
+def test_gains_that_nobody_estimates_are_refused() -> None:
+    """With both ways out: the shares of another monitor are the allocator's."""
+    with pytest.raises(ConfigError, match=r"drive\.gain: estimated .* share_learner estimates none; take wheel_health"):
+        Drive(DriveConfig(gain="estimated"), Vehicle(MODEL), "share_learner")
+    Drive(DriveConfig(friction="nominal"), Vehicle(MODEL), "share_learner")
+
+
 def test_presets_and_values_beside_them() -> None:
     """A value given wins over the preset's."""
     motor = Vehicle(MODEL).wheel_motors[0]
