@@ -223,7 +223,7 @@ def test_canonical_tables_fly_left_and_right_unlike() -> None:
 
 @pytest.mark.slow
 def test_tuned_pid_owes_its_short_settling_to_the_side_it_comes_from() -> None:
-    """What the printed row does not show: from -theta0 friction and disturbance push past the target, by 15 to 20 percent."""
+    """What the printed row does not show: from -theta0 friction and disturbance push past the target, by 15 to 20 %."""
     flown = fly("tuned", sign=-1.0)
     assert flown.find_overshoot() == pytest.approx((16.3, 19.9, 15.3), abs=0.1)
     assert flown.find_settling() == pytest.approx((128.7, 150.1, 165.5), abs=0.2)
