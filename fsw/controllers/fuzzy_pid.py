@@ -126,11 +126,11 @@ class FuzzyPid(Controller):
 
     def _schedule(self, sigma_b_rad: Vec3, omega_b_rad_s: Vec3) -> None:
         """Set the gains of this period."""
-        infer, per_rad, per_rad_s = self._tables.infer, self._per_rad, self._per_rad_s
+        tables, per_rad, per_rad_s = self._tables, self._per_rad, self._per_rad_s
         (sx, sy, sz), (wx, wy, wz) = sigma_b_rad, omega_b_rad_s
-        fx, gx, hx = infer(-sx * per_rad, -wx * per_rad_s)
-        fy, gy, hy = infer(-sy * per_rad, -wy * per_rad_s)
-        fz, gz, hz = infer(-sz * per_rad, -wz * per_rad_s)
+        fx, gx, hx = tables.infer(-sx * per_rad, -wx * per_rad_s)
+        fy, gy, hy = tables.infer(-sy * per_rad, -wy * per_rad_s)
+        fz, gz, hz = tables.infer(-sz * per_rad, -wz * per_rad_s)
         self._f = ((fx, fy, fz), (gx, gy, gz), (hx, hy, hz))
         (px, py, pz), (ix, iy, iz), (dx, dy, dz) = self._kp, self._ki, self._kd
         if self._engineering:

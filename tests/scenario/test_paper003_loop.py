@@ -47,7 +47,7 @@ R_IN, R_B, QUIESCENT_W, BUS_V = 2.0, 2.0, 3.0, 28.0
 
 
 def differentiate(t: float, x: np.ndarray, command_v: np.ndarray, gain: np.ndarray, disturbed: bool) -> np.ndarray:
-    """x = [q(4), omega(3), I(3), h(3), integral of |motor torque|]."""
+    """x = [q(4), omega(3), I(3), h(3), integral of |k_t I|]."""
     (q0, qx, qy, qz), omega, current, momentum = x[:4], x[4:7], x[7:10], x[10:13]
     speed = momentum / ROTOR - omega
     bus_a = (current**2 * R_B + 0.04 * np.abs(current) * BUS_V + QUIESCENT_W + KE * speed * current) / (BUS_V - 1.0)
@@ -70,7 +70,7 @@ def differentiate(t: float, x: np.ndarray, command_v: np.ndarray, gain: np.ndarr
         ]
     )
     slope = OMEGA_D * (GD * (command_v + emf - over) - current)
-    return np.concatenate([spin, (d - net - gyro) / INERTIA, slope, net, [np.abs(motor).sum()]])
+    return np.concatenate([spin, (d - net - gyro) / INERTIA, slope, net, [KT * np.abs(current).sum()]])
 
 
 def turn_to(theta: np.ndarray) -> np.ndarray:
@@ -84,16 +84,16 @@ class Flown(NamedTuple):
 
     theta: np.ndarray  # 2 q, shape (n, 3) [rad]
     omega: np.ndarray  # shape (n, 3) [rad/s]
-    impulse: float  # of the motors [N m s]
+    impulse: float  # integral of |k_t I| over the motors: what they would give if they were sound [N m s]
 
     def find_overshoot(self) -> np.ndarray:
         """Past the target, in percent of the way, per axis."""
         return np.maximum(100.0 * (-self.theta / self.theta[0]).max(axis=0), 0.0)
 
     def find_settling(self) -> np.ndarray:
-        """Last time out of 5 percent of the way, per axis [s]."""
+        """Last sample out of 5 percent of the way, per axis [s]."""
         outside = np.abs(self.theta) > 0.05 * np.abs(self.theta[0])
-        return np.array([0.1 * (1 + np.flatnonzero(axis)[-1]) for axis in outside.T])
+        return np.array([0.1 * np.flatnonzero(axis)[-1] for axis in outside.T])
 
     def find_rest(self) -> np.ndarray:
         """Mean magnitude of what is left after 350 s, in percent of the way, per axis."""
@@ -210,12 +210,21 @@ def test_tuned_pid_beats_the_fuzzy_law() -> None:
 
 @pytest.mark.slow
 def test_canonical_tables_fly_left_and_right_unlike() -> None:
-    """From -theta0 the settling time differs by more than 20 percent; with even tables or fixed gains by less than 2.
+    """From -theta0 the settling time differs by more than 20 percent on each axis; with even or fixed gains by less than 2.
 
-    Without fault and disturbance, which have a sign of their own, but for the canonical tables, which are told apart there.
+    Without fault and disturbance: those have a sign of their own, and with them fixed gains too differ by up to 29 percent.
     """
-    there, back = fly("fuzzy").find_settling(), fly("fuzzy", sign=-1.0).find_settling()
+    pairs = {law: [fly(law, fault=False, sign=sign).find_settling() for sign in (1.0, -1.0)] for law in LAWS}
+    for law in ("even", "mean", "tuned", "pid"):
+        assert pairs[law][0] == pytest.approx(pairs[law][1], rel=0.02), law
+    there, back = pairs["fuzzy"]
     assert (np.abs(there - back) > 0.2 * there).all()
-    for law in ("even", "mean"):
-        there, back = fly(law, fault=False).find_settling(), fly(law, fault=False, sign=-1.0).find_settling()
-        assert there == pytest.approx(back, rel=0.02)
+
+
+@pytest.mark.slow
+def test_tuned_pid_owes_its_short_settling_to_the_side_it_comes_from() -> None:
+    """What the printed row does not show: from -theta0 friction and disturbance push past the target, by 15 to 20 %."""
+    flown = fly("tuned", sign=-1.0)
+    assert flown.find_overshoot() == pytest.approx((16.3, 19.9, 15.3), abs=0.1)
+    assert flown.find_settling() == pytest.approx((128.7, 150.1, 165.5), abs=0.2)
+    assert flown.find_rest().max() < 0.2

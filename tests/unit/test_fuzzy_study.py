@@ -30,9 +30,9 @@ S003 = Draw(
     [("paper PID", "A_pid"), ("paper fuzzy", "A_fuzzy"), ("tuned PID", "B_pid")],
 )
 def test_study_flies_as_the_record(row: str, case: str) -> None:
-    """S003 without noise for 100 s: an independent integration's angles within 1e-6 rad, for all its 50 ms steps."""
+    """S003 without noise for 100 s: an independent integration's angles within 5e-6 rad, for all its steps of 0.1 s."""
     thetas = np.array(fly(row, S003, noise_seed=0, keep=True, noisy=False, until_s=100.0).thetas)[::10]
-    assert np.abs(thetas - RECORD[f"{case}_fault1_dist1/theta_1s"][:100]).max() <= 1e-6
+    assert np.abs(thetas - RECORD[f"{case}_fault1_dist1/theta_1s"][:100]).max() <= 5e-6
 
 
 def test_plant_keeps_its_momentum() -> None:

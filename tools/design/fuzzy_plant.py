@@ -18,7 +18,7 @@ BANDWIDTH_RAD_S: Final = 9.0
 ROTOR_KGM2: Final = 0.0077
 COULOMB_NM: Final = 0.002
 VISCOUS_NM_S: Final = 3.9e-5  # at 20 C
-STEP_S: Final = 0.05  # 10 ms give the same angles to 1e-5 rad
+STEP_S: Final = 0.1  # gives the angles of the recorded flights to 1e-5 rad
 ORBIT_RAD_S: Final = 0.0011
 State = tuple[float, ...]  # q (4), omega (3), momenta of the rotors (3)
 
