@@ -69,7 +69,7 @@ class PaperWatch:
         heard = reading.valid
         command = -torque_cmd_nm * self._drive
         command = min(max(command, -self._max_command), self._max_command)
-        current = reading.current_a if self._has_motor else command
+        current = -reading.current_a if self._has_motor else command
         if not self._started or not 0.0 < dt_s <= self._longest_s:
             if heard:
                 self._filter.restart(current, reading.speed_rad_s)

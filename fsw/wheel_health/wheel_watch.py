@@ -200,10 +200,11 @@ class WheelWatch:
         )
 
     def _start(self, reading: WheelReading) -> None:
+        # The current is told with the sign of the torque on the body; the filters are of the rotor.
         self._started = True
         self.kind = NONE
         if self._driver is not None:
-            self._driver.restart(reading.current_a)
+            self._driver.restart(-reading.current_a)
         self.deficit.restart(reading.speed_rad_s)
         self.rotor.restart(reading.speed_rad_s)
 
@@ -215,7 +216,7 @@ class WheelWatch:
             self.deficit.anchor(speed)
             self.rotor.anchor(speed)
             if driver is not None:
-                driver.anchor(reading.current_a)
+                driver.anchor(-reading.current_a)
             return
         self._gap = not heard
         torque, late_s = -torque_cmd_nm, self._late_s
@@ -240,7 +241,7 @@ class WheelWatch:
             return torque_nm
         command_v, most = torque_nm * self._drive_v_nm, self._max_v
         command_v = -most if command_v < -most else most if command_v > most else command_v
-        driver.step(dt_s, command_v, reading.current_a, heard)
+        driver.step(dt_s, command_v, -reading.current_a, heard)
         self.driver_gain = driver.gain
         return driver.torque_nm
 

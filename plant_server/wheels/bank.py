@@ -51,7 +51,7 @@ class WheelBank:
     torque_b_nm: Vec3  # their sum on the body
     command_nm: Vec4  # in effect
     command_b_nm: Vec3  # what it would be on the body with nominal axes
-    current_a: Vec4  # of the motors over the last step
+    current_a: Vec4  # of the motors at the end of the last step, as the telemetry has it
     status: Status4  # of each wheel's frame: 0 ok, 2 no command, 3 speed limit
     silent: Flags4  # which send no telemetry
 

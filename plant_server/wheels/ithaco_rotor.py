@@ -27,7 +27,7 @@ class IthacoRotor:
     """The state of one rotor but for its momentum, which the bank keeps, and how a step changes it."""
 
     __slots__ = (
-        "_motor", "_scaled_noise", "bus_current_a", "current_a", "emf_limited", "mean_current_a", "overspeed",
+        "_motor", "_scaled_noise", "bus_current_a", "current_a", "emf_limited", "overspeed",
         "temperature_c", "theta_rad",
     )  # fmt: skip
 
@@ -35,7 +35,6 @@ class IthacoRotor:
         self._motor = motor
         settings = motor.settings
         self.current_a = 0.0  # I
-        self.mean_current_a = 0.0  # over the last step
         self.theta_rad = 0.0  # angle of the rotor, for ripple, cogging and imbalance
         self.temperature_c = settings.temperature_c
         self.bus_current_a = settings.quiescent_w / (settings.bus_v - FILTER_V)
@@ -68,8 +67,7 @@ class IthacoRotor:
         w4 = (h_nms + dt_s * n3) * inverse - body_rad_s - dt_s * body_rad_s2
         i4, n4 = self.find_rates(command_v, start + dt_s * i3, w4, t_s + dt_s, state, ripple, cogging)
         torque = (n1 + 2.0 * (n2 + n3) + n4) / 6.0
-        self.current_a = end = start + dt_s / 6.0 * (i1 + 2.0 * (i2 + i3) + i4)
-        self.mean_current_a = 0.5 * (start + end)
+        self.current_a = start + dt_s / 6.0 * (i1 + 2.0 * (i2 + i3) + i4)
         self.theta_rad = math.fmod(self.theta_rad + dt_s / 6.0 * (speed + 2.0 * (w2 + w3) + w4), 2.0 * math.pi)
         if motor.settings.thermal:
             self._warm(start, speed, dt_s, state)

@@ -68,7 +68,7 @@ class IthacoWheel(Wheel):
             self._note_changes(step, command_v, speed_rad_s)
         torque = -rotor.advance(command_v, self._h_nms, body, body_rad_s2, step * dt_s, dt_s, state)
         self._h_nms -= torque * dt_s
-        self.current_a = -rotor.mean_current_a
+        self.current_a = -rotor.current_a
         self._note_limits(speed_rad_s)
         return torque
 

@@ -43,7 +43,7 @@ class Wheel:
         self.is_odd = False  # its telemetry says something else than is so
         self.is_steady = False  # its torque stays what it is but for a speed limit, while command and faults do
         self.limited = False  # at its speed limit
-        self.current_a = 0.0  # of the motor over the last step, positive with the torque on the body
+        self.current_a = 0.0  # of the motor at the end of the last step, positive with the torque on the body
 
     # -- moving --------------------------------------------------------------------------------------------------------
 

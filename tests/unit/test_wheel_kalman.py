@@ -59,7 +59,7 @@ def four(reading: WheelReading) -> FourReadings:
 def watch(monitor: WheelKalman, volts: Any, current: Any, speed: Any) -> list[WheelHealth]:
     """Telemetry of a wheel through a monitor; its command is the torque on the body: minus that of the rotor."""
     return [
-        monitor.step(TS, four(WheelReading(float(w), float(i))), (-float(v) * GD * KT, 0.0, 0.0, 0.0), None)
+        monitor.step(TS, four(WheelReading(float(w), -float(i))), (-float(v) * GD * KT, 0.0, 0.0, 0.0), None)
         for v, i, w in zip(volts, current, speed, strict=True)
     ]
 
@@ -104,7 +104,7 @@ class Rig:
             self.i = end
             self.t += h
         noise = self.rng.standard_normal(2)
-        return WheelReading(self.w + 0.05 * float(noise[0]), self.i + 1e-3 * float(noise[1]))
+        return WheelReading(self.w + 0.05 * float(noise[0]), -self.i - 1e-3 * float(noise[1]))
 
 
 def hold(t: float) -> float:
@@ -126,7 +126,7 @@ def fly(monitor: WheelKalman, rig: Rig, command: Profile, until_s: float) -> lis
     """Run a rig under a monitor, open loop; a wheel that is switched off gets no command."""
     found: list[WheelHealth] = []
     sent: Vec4 = (0.0, 0.0, 0.0, 0.0)
-    reading = WheelReading(rig.w, rig.i)
+    reading = WheelReading(rig.w, -rig.i)
     for k in range(round(until_s / TS)):
         found.append(monitor.step(TS, four(reading), sent, None))
         volts = command(k * TS) if found[-1].available[0] else 0.0
@@ -334,7 +334,7 @@ def test_a_command_is_a_torque_on_the_body() -> None:
     """+5 mN m on the body slow the rotor down. The same speeds with the command's sign turned are a fault, of twice that."""
     healthy, wrong = make(), make()
     rig = Rig(1)
-    reading = WheelReading(rig.w, rig.i)
+    reading = WheelReading(rig.w, -rig.i)
     sent = 0.0
     for k in range(200):
         one = healthy.step(TS, four(reading), (sent, 0.0, 0.0, 0.0), None)
@@ -354,7 +354,7 @@ def test_both_senses_of_spin_are_alike(spin: float) -> None:
     faults, kind = KINDS["friction 3 mN m"]
     found = fly(make(), Rig(4, **faults), slew, 60.0)
     rig = Rig(4, **faults)
-    monitor, sent, reading = make(), 0.0, WheelReading(spin * rig.w, spin * rig.i)
+    monitor, sent, reading = make(), 0.0, WheelReading(spin * rig.w, -spin * rig.i)
     for k in range(600):
         health = monitor.step(TS, four(reading), (spin * sent, 0.0, 0.0, 0.0), None)
         sent = -slew(k * TS) * GD * KT
@@ -370,7 +370,7 @@ def test_lost_ticks_are_no_fault() -> None:
     """Now and then two or five periods at once, with the command held over them: no alarm; and a fault is still found."""
     rng = np.random.default_rng(9)
     monitor, rig, sent = make(), Rig(9, gain=step_at(60.0, 1.0, 0.6)), 0.0
-    reading, dt_s, alarm_s = WheelReading(rig.w, rig.i), TS, math.inf
+    reading, dt_s, alarm_s = WheelReading(rig.w, -rig.i), TS, math.inf
     while rig.t < 65.0:
         health = monitor.step(dt_s, four(reading), (sent, 0.0, 0.0, 0.0), None)
         alarm_s = min(alarm_s, rig.t if health.alarm[0] else math.inf)
@@ -383,7 +383,7 @@ def test_lost_ticks_are_no_fault() -> None:
 def test_a_wheel_that_says_nothing_is_not_accused() -> None:
     """Telemetry held for 3 s in the middle of a slew: the kind says so, the estimates stay, and no alarm follows."""
     monitor, rig, sent = make(), Rig(6), 0.0
-    reading, kinds, held = WheelReading(rig.w, rig.i), [], []
+    reading, kinds, held = WheelReading(rig.w, -rig.i), [], []
     for k in range(500):
         silent = 200 <= k < 230
         shown = replace_reading(held[-1], valid=False) if silent else reading
@@ -409,7 +409,7 @@ def replace_reading(reading: WheelReading, valid: bool) -> WheelReading:
 def test_a_wheel_that_cannot_obey_and_says_so_is_not_accused() -> None:
     """Status 3, speed limit: the current is not the command's for 5 s, and no alarm comes of it."""
     monitor, rig, sent = make(), Rig(6, driver=lambda t: 0.2 if 20.0 <= t < 25.0 else 1.0), 0.0
-    reading = WheelReading(rig.w, rig.i)
+    reading = WheelReading(rig.w, -rig.i)
     for k in range(400):
         reading.status = 3 if 200 <= k <= 252 else 0
         health = monitor.step(TS, four(reading), (sent, 0.0, 0.0, 0.0), None)
@@ -453,7 +453,7 @@ def test_a_wheel_is_tried_again_so_many_times_and_no_more() -> None:
 def test_a_silent_wheel_is_off_until_it_is_heard() -> None:
     """Nothing heard for silent_s: not used; heard again: used at once, with its filters begun anew."""
     monitor, rig, sent = make(reaction="isolate", silent_s=2.0), Rig(8), 0.0
-    reading, used = WheelReading(rig.w, rig.i), []
+    reading, used = WheelReading(rig.w, -rig.i), []
     for k in range(400):
         reading.valid = not 200 <= k < 300
         health = monitor.step(TS, four(reading), (sent, 0.0, 0.0, 0.0), None)
@@ -480,7 +480,7 @@ def test_shares_for_the_allocator(reaction: str, share: float) -> None:
 def test_what_the_shares_explain() -> None:
     """With an observer: the loss on the body of the commands, -D (1 - e) tau; without one, which says zero, nothing."""
     monitor, rig, sent = make(reaction="compensate"), Rig(3, gain=step_at(5.0, 1.0, 0.5)), 0.0
-    reading = WheelReading(rig.w, rig.i)
+    reading = WheelReading(rig.w, -rig.i)
     for k in range(600):
         health = monitor.step(TS, four(reading), (sent, 0.0, 0.0, 0.0), (1e-9, 0.0, 0.0))
         sent = -slew(k * TS) * GD * KT
@@ -512,7 +512,7 @@ def fly_with_dither(monitor: WheelKalman, until_s: float) -> tuple[list[WheelHea
     found: list[WheelHealth] = []
     added = []
     sent = [0.0, 0.0, 0.0, 0.0]
-    readings = [WheelReading(rig.w, rig.i) for rig in rigs]
+    readings = [WheelReading(rig.w, -rig.i) for rig in rigs]
     for _ in range(round(until_s / TS)):
         a, b, c, d = readings
         health = monitor.step(TS, (a, b, c, d), (sent[0], sent[1], sent[2], sent[3]), (0.0, 0.0, 0.0))
@@ -559,7 +559,7 @@ def test_without_a_null_space_it_says_so() -> None:
 def test_other_control_periods(period_s: float) -> None:
     """At 100, 20 and 5 Hz: no false alarm in a minute, gain 0.6 found within 2.5 s."""
     monitor, rig, sent = make(period_s), Rig(4, gain=step_at(60.0, 1.0, 0.6)), 0.0
-    reading, alarm_s = WheelReading(rig.w, rig.i), math.inf
+    reading, alarm_s = WheelReading(rig.w, -rig.i), math.inf
     for k in range(round(63.0 / period_s)):
         health = monitor.step(period_s, four(reading), (sent, 0.0, 0.0, 0.0), None)
         alarm_s = min(alarm_s, rig.t if health.alarm[0] else math.inf)
@@ -590,7 +590,7 @@ def hold_attitude(compensate: bool, seed: int = 5) -> np.ndarray:
     theta, rate, summed = np.zeros(3), np.zeros(3), np.zeros(3)
     pole = 0.01 if compensate else 0.02
     kp, ki, kd = inertia * (0.0625 + 0.5 * pole), inertia * 0.0625 * pole, inertia * (0.5 + pole)
-    readings = (*[WheelReading(rig.w, rig.i) for rig in rigs], WheelReading())
+    readings = (*[WheelReading(rig.w, -rig.i) for rig in rigs], WheelReading())
     sent, worst = REST, np.zeros(3)
     for k in range(3500):
         seen, seen_rate = theta + 2e-5 * rng.standard_normal(3), rate + 1e-5 * rng.standard_normal(3)
@@ -625,7 +625,7 @@ def test_a_late_command_is_no_deficit() -> None:
 
     def fly_late(monitor: WheelKalman) -> list[WheelHealth]:
         rig, sent, found = Rig(3), -HOLD, []
-        reading, last = WheelReading(rig.w, rig.i), HOLD / (GD * KT)
+        reading, last = WheelReading(rig.w, -rig.i), HOLD / (GD * KT)
         for k in range(800):
             found.append(monitor.step(TS, four(reading), (sent, 0.0, 0.0, 0.0), None))
             volts = HOLD / (GD * KT) if k < 100 else slew(k * TS)

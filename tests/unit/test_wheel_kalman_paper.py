@@ -88,7 +88,7 @@ def test_residual_alarm(gain: float, driver: float, alarm: bool) -> None:
     for k in range(1200):
         faulty = k >= 600
         noise = rng.standard_normal(2)
-        reading = WheelReading(w + 0.05 * float(noise[0]), current + 1e-3 * float(noise[1]))
+        reading = WheelReading(w + 0.05 * float(noise[0]), -current - 1e-3 * float(noise[1]))
         health = monitor.step(0.1, (reading, *[WheelReading()] * 3), (-torque, 0.0, 0.0, 0.0), None)  # type: ignore[arg-type]
         seen.append((health.alarm[0], health.kind[0]))
         for _ in range(10):

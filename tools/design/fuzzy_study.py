@@ -165,7 +165,7 @@ def _measure_attitude(plant: FuzzyPlant, noise: random.Random, size: float) -> P
 def _measure_wheels(plant: FuzzyPlant, noise: random.Random, size: float, readings: Any) -> None:
     for reading, speed, current in zip(readings[:3], plant.find_speeds(), plant.current, strict=True):
         reading.speed_rad_s = speed + noise.gauss(0.0, SPEED_NOISE_RAD_S * size)
-        reading.current_a = current + noise.gauss(0.0, CURRENT_NOISE_A * size)
+        reading.current_a = -current - noise.gauss(0.0, CURRENT_NOISE_A * size)  # signed as the torque on the body
         reading.h_nms = ROTOR_KGM2 * reading.speed_rad_s
 
 
