@@ -71,6 +71,11 @@ class WheelPower(Record):
 FourPowers = tuple[WheelPower, WheelPower, WheelPower, WheelPower]
 
 
+def four_powers() -> FourPowers:
+    """Four wheels of whose supply nothing has been heard."""
+    return (WheelPower(), WheelPower(), WheelPower(), WheelPower())
+
+
 class Sensors(Record):
     """What the validated bus traffic up to one tick says. A stale or failed unit is marked, never left out."""
 
@@ -98,6 +103,7 @@ class Sensors(Record):
         star_valid: bool = False,
         star_age_s: float = 0.0,
         wheels: FourReadings | None = None,
+        powers: FourPowers | None = None,
     ) -> None:
         self.tick = tick
         self.t_s = t_s  # tick * base period
@@ -109,7 +115,7 @@ class Sensors(Record):
         self.star_valid = star_valid  # False once the last one is older than the staleness limit
         self.star_age_s = star_age_s  # age of q_ib_meas at this tick (0.0: measured at this tick)
         self.wheels: FourReadings = four_readings() if wheels is None else wheels
-        self.powers: FourPowers = (WheelPower(), WheelPower(), WheelPower(), WheelPower())
+        self.powers: FourPowers = four_powers() if powers is None else powers
 
     def wheel_momenta(self) -> Vec4:
         """Momentum of each wheel relative to the body [N m s]; last good value where not valid."""
