@@ -270,6 +270,7 @@ class FourWheels(WheelBank):
         for i, each in self._ithaco:
             if i == wheel:
                 each.latch &= ~mask
+        self._report_slowly()
 
     def set_power(self, wheel: int, on: bool) -> None:
         """Switch a wheel's power; without, its motor gives no torque and the rotor coasts."""
