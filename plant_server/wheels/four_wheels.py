@@ -181,11 +181,9 @@ class FourWheels(WheelBank):
         self.current_a = self._current_a = (a.current_a, b.current_a, c.current_a, d.current_a)
         self.status = self._find_status()
         self._is_steady = a.is_steady and b.is_steady and c.is_steady and d.is_steady
-        if self._ithaco:
-            self._report_slowly()
-            if self._has_jitter:
-                for i, wheel in self._ithaco:
-                    self.torque_b_nm = add(self.torque_b_nm, wheel.find_jitter(self.speed_rad_s[i]))
+        if self._has_jitter:
+            for i, wheel in self._ithaco:
+                self.torque_b_nm = add(self.torque_b_nm, wheel.find_jitter(self.speed_rad_s[i]))
 
     def _find_status(self) -> Status4:
         """Return STATUS of each wheel's frame."""
@@ -290,6 +288,8 @@ class FourWheels(WheelBank):
         """Return the tachometer readings [rad/s], noisy from a stream each; brings `silent` and `current_a` up to date."""
         if step >= self._next_look:
             self._look(step)
+        if self._ithaco:
+            self._report_slowly()
         if not (self._noise or self._is_odd or True in self.silent or self._has_odd_nodes()):
             return self.speed_rad_s
         speeds, currents = list(self.speed_rad_s), list(self._current_a)

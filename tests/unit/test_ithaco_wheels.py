@@ -109,11 +109,13 @@ def test_power_and_latches() -> None:
     plant = make((make_fault(unit="wheel.2", kind="bus_sag", voltage_v=7, at_s=0.0),))
     plant.step((0.0, 0.02, 0.0, 0.0))
     plant.step((0.0, 0.02, 0.0, 0.0))
+    plant.sample()
     latched = plant.wheels.latch[1]
     assert latched == UNDERVOLTAGE | EMF_LIMITED
     plant.clear_latch(1, UNDERVOLTAGE)
     assert plant.wheels.latch[1] == EMF_LIMITED
     plant.step((0.0, 0.02, 0.0, 0.0))
+    plant.sample()
     assert plant.wheels.latch[1] == latched
     plant.set_wheel_power(2, on=False)
     for _ in range(200):

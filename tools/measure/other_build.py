@@ -11,7 +11,15 @@ from typing import Any
 from bus.build import CHOICE, CURRENT
 from bus.errors import UsageError
 
-BOTH = ("in-process", "lock-step", "set-up", "codec", "detection", "instructions")  # what depends on the build
+BOTH = (
+    "in-process",
+    "lock-step",
+    "set-up",
+    "codec",
+    "detection",
+    "wheels",
+    "instructions",
+)  # what depends on the build
 RATIO = "compiled / plain"
 
 

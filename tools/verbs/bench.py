@@ -216,6 +216,12 @@ class _Timed(Detector):
         return detection
 
 
+def _measure_wheels(seconds: float) -> dict[str, Any]:
+    from tools.measure.wheels import measure_wheels
+
+    return measure_wheels()
+
+
 def _measure_bus(seconds: float) -> dict[str, Any]:
     from tools.measure.bus import measure_all
 
@@ -239,6 +245,7 @@ MEASUREMENTS: dict[str, Callable[[float], dict[str, Any]]] = {
     "set-up": _measure_set_up,
     "codec": _measure_codec,
     "detection": _measure_detection,
+    "wheels": _measure_wheels,
     "bus": _measure_bus,
     "basilisk": _measure_basilisk,
     "instructions": _measure_instructions,
