@@ -36,6 +36,7 @@ FAR_S: Final = 3.0  # ... for this long: a filter that a step threw off has foun
 OFF_STILL: Final = 0.5  # part of the driver's threshold below which its alarm ends
 STILL_RAD_S: Final = 0.5  # below it a rotor stands: ten sigma of its telemetry
 STILL_S: Final = 1.0
+LOST_PART: Final = 0.85  # of the motor's torque that is as good as all of it
 HELD_PART: Final = 0.6  # of the motor's torque that holds nothing but a rotor that stands
 BLOW: Final = 2.0  # a deficit of so many times the motor's torque is the bearing that stops the rotor
 MOVING_RAD_S: Final = 1.0
@@ -51,6 +52,7 @@ class WheelWatch:
         "_beyond_s",
         "_blown",
         "_config",
+        "_coulomb_nm",
         "_dead_s",
         "_drive_v_nm",
         "_driver",
@@ -63,6 +65,7 @@ class WheelWatch:
         "_late_s",
         "_log_odds",
         "_longest_s",
+        "_lost_s",
         "_max_torque_nm",
         "_max_v",
         "_motor_nm",
@@ -108,6 +111,7 @@ class WheelWatch:
             self._max_v = motor.max_command_v
             max_torque_nm = motor.max_torque_nm
         self._max_torque_nm = max_torque_nm
+        self._coulomb_nm = coulomb_nm
         self._stiff_nm = 2.0 * coulomb_nm + 0.1 * max_torque_nm  # torque that moves any rotor that is not seized
         noise = config.speed_noise_rad_s
         self.deficit = DeficitFilter(
@@ -131,9 +135,9 @@ class WheelWatch:
         self.kind = NONE
         self.confidence = 0.0
         self.sure = False  # whether gain and friction can be told apart
-        self._beyond_s = self._dead_s = self._over_s = self._quiet_s = self._driver_off_s = self._far_s = (
-            self._still_s
-        ) = 0.0
+        self._beyond_s = self._dead_s = self._lost_s = self._over_s = self._quiet_s = self._driver_off_s = (
+            self._far_s
+        ) = self._still_s = 0.0
         self._last_nm = self._out_s = self._in_use_s = self._motor_nm = 0.0
         self._blown = False
         self.driver_gain = 1.0
@@ -267,7 +271,7 @@ class WheelWatch:
                 if self._tries and self._in_use_s > config.retry_s:
                     self._tries = 0  # it has done well for long enough
                 return
-            self._quiet_s = self._far_s = self._still_s = self._beyond_s = self._dead_s = 0.0
+            self._quiet_s = self._far_s = self._still_s = self._beyond_s = self._dead_s = self._lost_s = 0.0
             self._blown = False
             kind = UNKNOWN
         quiet = not off and deficit < 0.5 * config.deficit_threshold_nm
@@ -297,11 +301,13 @@ class WheelWatch:
         return off > self._config.driver_threshold and off * off > DRIVER_SIGMAS * DRIVER_SIGMAS * driver.variance
 
     def _look_for_standstill(self, dt_s: float, speed_rad_s: float) -> None:
-        """How long the rotor has stood although its motor would move it, or after a blow that stopped it."""
+        """How long the motor's torque has been missing, and how long the rotor has stood for that, or after a blow."""
         torque, deficit = abs(self._motor_nm), abs(self.deficit.deficit_nm)
         if deficit > BLOW * self._max_torque_nm:
             self._blown = True
         held = torque > self._stiff_nm and deficit > HELD_PART * torque
+        lost = torque > self._config.deficit_threshold_nm and deficit > LOST_PART * torque
+        self._lost_s = self._lost_s + dt_s if lost else 0.0
         still = abs(speed_rad_s) < STILL_RAD_S and (self._blown or held)
         self._still_s = self._still_s + dt_s if still else 0.0
 
@@ -341,7 +347,11 @@ class WheelWatch:
         if not self.sure or size < self._log_odds:
             return kind if kind in (TORQUE_GAIN, FRICTION, BIAS) else UNKNOWN
         if odds > 0.0:
-            return DEAD if rotor.gain < DEAD_GAIN and self._still_s == 0.0 else TORQUE_GAIN
+            # In a quiet hold the split of gain and friction drifts, and no bearing has less friction than none: a gain that
+            # needs that is no sign of a dead wheel, unless all its torque is missing.
+            possible = rotor.friction_nm > -self._coulomb_nm - self._config.deficit_threshold_nm
+            dead = rotor.gain < DEAD_GAIN and (possible or self._lost_s > SURE_S) and self._still_s == 0.0
+            return DEAD if dead else TORQUE_GAIN
         # Friction can fall to nothing, and half of it may be the temperature's; what drives the rotor beyond that is none.
         spread = 2.0 * math.sqrt(max(0.0, rotor.friction_variance))
         return BIAS if rotor.friction_nm < -self._config.deficit_threshold_nm - spread else FRICTION

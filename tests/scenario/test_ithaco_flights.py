@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
+from tools.design import fuzzy_study
 from tools.run.bench import Bench
 
 pytestmark = pytest.mark.slow
@@ -55,3 +56,12 @@ def test_three_hours_of_hold_without_a_false_alarm() -> None:
         assert health.kind == (0, 0, 0, 0)
         assert True not in health.alarm
         assert False not in health.available
+
+
+@pytest.mark.parametrize("run", [3, 4])
+def test_a_weak_wheel_in_a_quiet_hold_is_not_taken_for_a_dead_one(run: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Three wheels, gains fallen, made up for: the estimates drift, and none is switched off."""
+    law, drive, _ = fuzzy_study.ROWS["tuned + drag + filter"]
+    monkeypatch.setitem(fuzzy_study.ROWS, "isolating", (law, drive, {"kind": "wheel_kalman", "reaction": "isolate"}))
+    flown = fuzzy_study.fly("isolating", fuzzy_study.draw_run(1, run), run)
+    assert flown.post_fault_mrad <= 3.0
