@@ -32,7 +32,7 @@ test: $(STAMP)
 test-slow: $(STAMP)
 	HILSAT_THOROUGH=1 $(BIN)/python -m pytest -n auto -m "(slow or hypothesis) and not vcan and not vcan_host and not compiled"
 
-test-all: test test-slow test-vcan test-foxglove test-compiled
+test-all: test test-slow test-vcan test-foxglove test-compiled test-wheel
 
 # The same tests against the compiled build, and the same bytes from both for every scenario.
 test-compiled: compiled
