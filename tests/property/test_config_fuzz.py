@@ -22,7 +22,7 @@ from pydantic_core import CoreSchema, core_schema
 from bus.errors import ConfigError
 from bus.settings import NOTHING, Reading, fields_of
 from plant_server.faults import KINDS, PROFILES, UNITS, Fault, family_of
-from plant_server.faults.fault import keys_of_all, profiles_of
+from plant_server.faults.fault import keys_of_all, profile_keys_of, profiles_of
 from tools.config import Scenario, examine_text, load_scenario
 from tools.config.check import summarise
 from tools.config.reference import walk_classes
@@ -54,9 +54,11 @@ def make_fault_oracle() -> TypeAdapter[Any]:
         units = Literal[tuple(unit for unit in UNITS if family_of(unit) == family)]
         for kind, cls in kinds.items():
             profiles = profiles_of(cls)
-            for name, profile in profiles.items() or [("step", None)]:
+            # one that names no profile has the kind's usual one, where that takes the keys it gives
+            order = sorted(profiles.items(), key=lambda item: item[1] is not type(cls.usual))
+            for name, profile in order or [("step", None)]:
                 named = Literal[name] if profiles else None
-                keys = {**keys_of_all(family), **(fields_of(profile) if profile else {}), **fields_of(cls)}
+                keys = {**keys_of_all(family), **(profile_keys_of(profile, cls) if profile else {}), **fields_of(cls)}
                 fields: dict[str, Any] = {
                     key: (item, ... if default is NOTHING else default) for key, (item, default) in keys.items()
                 }
