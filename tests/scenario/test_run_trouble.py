@@ -99,7 +99,7 @@ def test_who_is_killed_or_stopped_is_named_first_within_five_seconds(
 ) -> None:
     """From the signal to the end of the command 5 s at most: exit code 3, the victim in the first message and nobody who
     is well in any, a log that reads back, no process and nothing in the temporary directory left."""
-    with start_run(tmp_path, clock, logged_bytes=200_000 if clock == "lockstep" else 60_000) as live_run:
+    with start_run(tmp_path, clock, logged_bytes=200_000 if clock == "lockstep" else 90_000) as live_run:
         pids = [live_run.child(name) for name in MODULES]
         os.kill(live_run.child(victim), number)
         code, result, err, took_s = live_run.finish()

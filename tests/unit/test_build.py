@@ -227,7 +227,7 @@ def test_version_and_log_say_which_build(capsys: pytest.CaptureFixture[str]) -> 
     """With the same words: a figure is worth nothing without them."""
     with pytest.raises(SystemExit):
         cli.main(["--version"])
-    assert capsys.readouterr().out.strip().endswith(f" ({CURRENT.words})")
+    assert " ".join(capsys.readouterr().out.split()).endswith(f" ({CURRENT.words})")
     resolved = load_scenario(find_scenario("nominal"))
     assert describe_run(resolved, "none")["build"] == CURRENT.words
 
