@@ -87,7 +87,7 @@ def _make_parser(words: list[str]) -> argparse.ArgumentParser:
         description="Hardware-in-the-loop test bench for satellite attitude-control flight software.",
         epilog="Exit codes: 0 passed, 1 graded a fail, 2 usage or configuration, 3 infrastructure.",
     )
-    parser.add_argument("--version", action="version", version=f"hilsat {_version()} ({CURRENT.words})")
+    parser.add_argument("--version", action=_Version, nargs=0, help="which version and build, in one line")
     parser.add_argument("--debug", action="store_true", help="show the traceback of what was not foreseen")
     subparsers = parser.add_subparsers(metavar="VERB", required=True)
     wanted = next((word for word in words if not word.startswith("-")), None)
@@ -98,6 +98,14 @@ def _make_parser(words: list[str]) -> argparse.ArgumentParser:
         for verb, (_, summary) in VERBS.items():
             subparsers.add_parser(verb, help=summary)
     return parser
+
+
+class _Version(argparse.Action):
+    """One line, whatever the width of the terminal: scripts read it, and argparse's own action wraps it."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        print(f"hilsat {_version()} ({CURRENT.words})")
+        parser.exit()
 
 
 def _version() -> str:

@@ -223,11 +223,12 @@ def test_the_ways_in_refuse(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capt
         Bench.open("nominal")
 
 
-def test_version_and_log_say_which_build(capsys: pytest.CaptureFixture[str]) -> None:
-    """With the same words: a figure is worth nothing without them."""
+def test_version_and_log_say_which_build(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the same words, in one line on a narrow terminal too: a figure is worth nothing without them."""
+    monkeypatch.setenv("COLUMNS", "20")
     with pytest.raises(SystemExit):
         cli.main(["--version"])
-    assert " ".join(capsys.readouterr().out.split()).endswith(f" ({CURRENT.words})")
+    assert re.fullmatch(rf"hilsat \S+ \({re.escape(CURRENT.words)}\)\n", capsys.readouterr().out)
     resolved = load_scenario(find_scenario("nominal"))
     assert describe_run(resolved, "none")["build"] == CURRENT.words
 
