@@ -125,6 +125,12 @@ class Controller(Algorithm):
         """
         raise NotImplementedError
 
+    def note_sent(self, tau_b_nm: Vec3) -> None:
+        """Called after `step`: the torque that the wheels are now expected to give, body axes [N m].
+
+        It is less than what `step` returned where limits, health or whole steps of a frame left no more.
+        """
+
 
 @mypyc_attr(allow_interpreted_subclasses=True)
 class Allocator(Algorithm):

@@ -12,7 +12,7 @@ from bus.attitude import IDENTITY
 from bus.commands import Command
 from bus.errors import ConfigError
 from bus.icd.heartbeat import count_heartbeat_ticks
-from bus.linear import ZERO3, add, cross, subtract, times
+from bus.linear import ZERO3, ZERO4, add, cross, subtract, times
 from bus.units import Vec3, Vec4
 from fsw import allocators, controllers, estimation, gyro_fdi, observers, wheel_health
 from fsw.config import FswConfig
@@ -28,6 +28,8 @@ from fsw.rate_mean import RateMean
 from fsw.records import (
     ALL_WHEELS,
     HEALTHY,
+    NO_WHEEL,
+    ONES4,
     Allocation,
     Detection,
     Estimate,
@@ -198,6 +200,8 @@ class Flight:
         self.tau_fault_hat_b_nm, self.health, self.error = tau_fault, health, error
         self.error_deg = 2.0 * math.acos(min(1.0, abs(error.q_tb[0]))) * DEG_PER_RAD
         self._drive(mode, torque, health)
+        if mode is POINT or mode is DEGRADED:
+            self.controller.note_sent(self._expect())
 
     def _judge(self, health: WheelHealth) -> WheelHealth:
         """The health to reckon with: a wheel that is not fitted is not available, and gains that the drive makes up for are
@@ -207,8 +211,12 @@ class Flight:
             health = without(health, fitted)
         if self.drive.compensates:
             health = self.drive.see(health)
-        if health.available != self._available:
-            self._available = available = health.available
+        usable = health.available
+        if health.dead != NO_WHEEL:
+            (p, q, r, s), (a, b, c, d) = usable, health.dead
+            usable = (p and not a, q and not b, r and not c, s and not d)
+        if usable != self._available:
+            self._available = available = usable
             axes = self.vehicle.wheels.count_axes(available)
             out = ", ".join([f"wheel.{i + 1}" for i in (0, 1, 2, 3) if fitted[i] and not available[i]])
             self.out_of_reach = "" if axes == 3 else f"the wheels in use span {axes} of three axes; out: {out}"
@@ -223,9 +231,24 @@ class Flight:
         tau_rw_nm = self.allocation.tau_rw_nm
         if health.dither == 1:
             tau_rw_nm = self.vehicle.wheels.add_within(tau_rw_nm, health.dither_rw_nm)
+        if health.dead != NO_WHEEL:
+            tau_rw_nm = self._probe(tau_rw_nm, health)
         self.wheel_commands = commands = self.drive.command(tau_rw_nm, health, self.inputs.sensors.wheels)
         self.torques_saturated += commands.saturated
         self.tau_cmd_b_nm = self.vehicle.wheels.combine(commands.meant_nm)
+
+    def _probe(self, tau_rw_nm: Vec4, health: WheelHealth) -> Vec4:
+        """The torques of the wheels, with what dead ones are told to see whether they have come back [N m]."""
+        (a, b, c, d), (p, q, r, s), (t, u, v, w) = tau_rw_nm, health.probe_rw_nm, health.dead
+        return (p if t else a, q if u else b, r if v else c, s if w else d)
+
+    def _expect(self) -> Vec3:
+        """The body torque that the commands sent will give, by the health that they were allocated with [N m]."""
+        allocation = self.allocation
+        if allocation.shares == ONES4 and allocation.bias_nm == ZERO4:
+            return self.tau_cmd_b_nm
+        (a, b, c, d), (e, f, g, h), (p, q, r, s) = self.wheel_commands.meant_nm, allocation.shares, allocation.bias_nm
+        return self.vehicle.wheels.combine((a * e + p, b * f + q, c * g + r, d * h + s))
 
     def _follow_target(self, error: PointingError, rate_b_rad_s: Vec3, momentum_b_nms: Vec3) -> Vec3:
         """The torque that a body needs which moves as the target does, body axes [N m]."""

@@ -173,7 +173,9 @@ class WheelHealth(Record):
     __slots__ = (
         "alarm",
         "available",
+        "bias_nm",
         "confidence",
+        "dead",
         "deficit_nm",
         "dither",
         "dither_rw_nm",
@@ -182,6 +184,7 @@ class WheelHealth(Record):
         "explained_b_nm",
         "friction_nm",
         "kind",
+        "probe_rw_nm",
         "torque_gain",
     )
 
@@ -199,6 +202,9 @@ class WheelHealth(Record):
         confidence: Vec4 = ZERO4,
         dither: int = 0,
         dither_rw_nm: Vec4 = ZERO4,
+        bias_nm: Vec4 = ZERO4,
+        dead: Flags4 = NO_WHEEL,
+        probe_rw_nm: Vec4 = ZERO4,
     ) -> None:
         self.effectiveness = effectiveness  # share of its commanded torque that each gives, 0 .. 1
         self.available = available  # False: not to be used
@@ -215,6 +221,9 @@ class WheelHealth(Record):
         self.confidence = confidence  # that it is this kind, 0 .. 1; of one not known yet, the likelier's
         self.dither = dither  # 0 off, 1 on, 2 asked for but the wheels in use leave no null space
         self.dither_rw_nm = dither_rw_nm  # to be added to the wheels' torques; no torque on the body
+        self.bias_nm = bias_nm  # torque on the body that each wheel gives whatever it is told, about its axis
+        self.dead = dead  # True: no torque is planned on it, yet it stays on, so that a recovery shows
+        self.probe_rw_nm = probe_rw_nm  # what dead wheels are told meanwhile; zero for the others
 
 
 HEALTHY = WheelHealth()
@@ -226,7 +235,7 @@ def without(health: WheelHealth, fitted: Flags4) -> WheelHealth:
     return WheelHealth(
         health.effectiveness, (p and a, q and b, r and c, s and d), health.alarm, health.explained_b_nm,
         health.driver_gain, health.torque_gain, health.friction_nm, health.deficit_nm, health.kind, health.confidence,
-        health.dither, health.dither_rw_nm,
+        health.dither, health.dither_rw_nm, health.bias_nm, health.dead, health.probe_rw_nm,
     )  # fmt: skip
 
 
@@ -263,13 +272,23 @@ class PointingError(Record):
 class Allocation(Record):
     """What the wheels are to give."""
 
-    __slots__ = ("achieved_b_nm", "margin", "tau_rw_nm")
+    __slots__ = ("achieved_b_nm", "bias_nm", "margin", "shares", "tau_rw_nm")
 
-    def __init__(self, tau_rw_nm: Vec4 = ZERO4, achieved_b_nm: Vec3 = ZERO3, margin: float = 1.0) -> None:
+    def __init__(
+        self,
+        tau_rw_nm: Vec4 = ZERO4,
+        achieved_b_nm: Vec3 = ZERO3,
+        margin: float = 1.0,
+        shares: Vec4 = ONES4,
+        bias_nm: Vec4 = ZERO4,
+    ) -> None:
         self.tau_rw_nm = tau_rw_nm  # torque of each wheel on the body, within its limits
         # the body torque that these add up to, if each wheel gives what it is told
         self.achieved_b_nm = achieved_b_nm
         self.margin = margin  # share of the most loaded wheel's torque that is still free, 0 .. 1
+        # What was reckoned with: share of its torque that each wheel gives, and what it gives whatever it is told
+        self.shares = shares
+        self.bias_nm = bias_nm
 
 
 class WheelCommands(Record):

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from bus.linear import ZERO4, subtract
 from bus.units import Vec3, Vec4
 from fsw.allocators.settings import PseudoInverseConfig
 from fsw.families import Allocator
-from fsw.records import ALL_WHEELS, Allocation, WheelHealth
+from fsw.records import ALL_WHEELS, NO_WHEEL, Allocation, WheelHealth
 from fsw.vehicle import Vehicle
 
 FULL: Vec4 = (1.0, 1.0, 1.0, 1.0)
@@ -18,27 +19,36 @@ class PseudoInverse(Allocator):
     "direction" scales all four by one factor: the body torque keeps its direction and loses length.
 
     A wheel that delivers a share e of its command is asked for what gives the torque with the others: least squares of
-    D0 diag(e) u = tau. Shares below share_min count as share_min, so that a recovery shows. One that is not available is
-    asked for nothing.
+    D0 diag(e) u = tau. Shares below share_min count as share_min, so that a recovery shows. One that is dead or not
+    available is asked for nothing, and what wheels give whatever they are told is left to the others to make up for.
     """
 
-    __slots__ = ("_keep_direction", "_share_min", "_wheels")
+    __slots__ = ("_keep_direction", "_share_min", "_use_health", "_wheels")
 
     def __init__(self, config: PseudoInverseConfig, vehicle: Vehicle, period_s: float) -> None:
         self._wheels = vehicle.wheels
         self._keep_direction = config.saturation == "direction"
         self._share_min = config.share_min
+        self._use_health = config.use_health
 
     def reset(self) -> None:
         """There is no state."""
 
     def allocate(self, tau_cmd_b_nm: Vec3, health: WheelHealth) -> Allocation:
         """Return wheel torques within limits [N m] for a body torque, body axes [N m]."""
-        wheels = self._wheels
-        if health.effectiveness == FULL and health.available == ALL_WHEELS:
+        wheels, shares, bias_nm = self._wheels, FULL, ZERO4
+        if self._use_health and health.bias_nm != ZERO4:
+            bias_nm = health.bias_nm
+            tau_cmd_b_nm = subtract(tau_cmd_b_nm, wheels.combine(bias_nm))
+        if (
+            (health.effectiveness == FULL or not self._use_health)
+            and health.available == ALL_WHEELS
+            and health.dead == NO_WHEEL
+        ):
             tau_rw_nm = wheels.spread(tau_cmd_b_nm)
         else:
-            tau_rw_nm = wheels.spread_weighted(tau_cmd_b_nm, self._find_shares(health))
+            shares = self._find_shares(health)
+            tau_rw_nm = wheels.spread_weighted(tau_cmd_b_nm, shares)
         load = wheels.find_load(tau_rw_nm)
         if load > 1.0:
             if self._keep_direction:
@@ -47,12 +57,15 @@ class PseudoInverse(Allocator):
             tau_rw_nm = wheels.limit(
                 tau_rw_nm
             )  # after scaling too: rounding may leave the largest a bit above its limit
-        return Allocation(tau_rw_nm, wheels.combine(tau_rw_nm), 1.0 - load if load < 1.0 else 0.0)
+        return Allocation(tau_rw_nm, wheels.combine(tau_rw_nm), 1.0 - load if load < 1.0 else 0.0, shares, bias_nm)
 
     def _find_shares(self, health: WheelHealth) -> Vec4:
         low = self._share_min
-        a, b, c, d = (
-            0.0 if not available else share if share > low else low
-            for share, available in zip(health.effectiveness, health.available, strict=True)
+        a, b, c, d = health.effectiveness if self._use_health else FULL
+        (p, q, r, s), (t, u, v, w) = health.available, health.dead
+        return (
+            0.0 if t or not p else a if a > low else low,
+            0.0 if u or not q else b if b > low else low,
+            0.0 if v or not r else c if c > low else low,
+            0.0 if w or not s else d if d > low else low,
         )
-        return (a, b, c, d)

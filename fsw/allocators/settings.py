@@ -17,6 +17,7 @@ class PseudoInverseConfig:
     share_min: Annotated[float, Gt(0), Le(1)] = (
         0.15  # a wheel judged weaker is still asked as if it gave this share [1]
     )
+    use_health: bool = True  # reckon with the shares that wheel health thinks the wheels give; False: with whole ones
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
