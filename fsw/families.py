@@ -33,6 +33,11 @@ class Algorithm:
         """A named tuple of numbers and tuples of numbers, fixed in shape, for telemetry."""
         return NO_INTERNALS
 
+    @property
+    def caution(self) -> str:
+        """What its settings leave in doubt, in words for the log; empty where there is nothing."""
+        return ""
+
     def reset(self) -> None:
         """Back to where it was when it was made."""
         raise NotImplementedError
@@ -126,9 +131,10 @@ class Controller(Algorithm):
         raise NotImplementedError
 
     def note_sent(self, tau_b_nm: Vec3) -> None:
-        """Called after `step`: the torque that the wheels are now expected to give, body axes [N m].
+        """Called after `step`: the torque that the wheels are now expected to give for it, body axes [N m].
 
-        It is less than what `step` returned where limits, health or whole steps of a frame left no more.
+        It is less than what `step` returned where limits, health or whole steps of a frame left no more. What a moving
+        target takes beside it is not in it.
         """
 
 

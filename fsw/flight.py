@@ -18,7 +18,7 @@ from fsw import allocators, controllers, estimation, gyro_fdi, observers, wheel_
 from fsw.config import FswConfig
 from fsw.drive import REST, Drive
 from fsw.executive import ExecutiveCounters
-from fsw.families import NO_INTERNALS
+from fsw.families import NO_INTERNALS, Algorithm
 from fsw.guidance import Guidance, timeline
 from fsw.guidance.guidance import feed_forward
 from fsw.inputs import Inputs
@@ -143,6 +143,14 @@ class Flight:
         return self.outputs.commands(tick, inputs.plant_tick & 0xFF, self.wheel_commands, mode, self.executive.slips)
 
     @property
+    def cautions(self) -> list[str]:
+        """What the settings of the algorithms leave in doubt, in words."""
+        chosen: tuple[Algorithm, ...] = (
+            self.estimator, self.detector, self.observer, self.wheel_health, self.controller, self.allocator
+        )  # fmt: skip
+        return [algorithm.caution for algorithm in chosen if algorithm.caution != ""]
+
+    @property
     def wheel_power(self) -> tuple[Any, ...]:
         """What the wheels report of their supply and themselves, for telemetry; nothing where none has a motor."""
         if not self.vehicle.has_motors:
@@ -182,7 +190,7 @@ class Flight:
             self.controller.reset()
         rate, wheels = estimate.omega_bi_b_rad_s, sensors.wheels
         momentum = self.vehicle.wheels.combine(sensors.wheel_momenta()) if self.vehicle.wheel_momentum else ZERO3
-        tau_rw_nm, mean_rate = self.wheel_commands.meant_nm, self._rate_mean.take()
+        tau_rw_nm, mean_rate, follow = self.wheel_commands.meant_nm, self._rate_mean.take(), ZERO3
         if self.drive.compensates:
             self.wheel_health.note_sent(self.wheel_commands.tau_rw_nm)
         if mode is POINT or mode is DEGRADED:
@@ -191,7 +199,8 @@ class Flight:
             error = self.guidance.find_error(estimate.q_ib, rate)
             torque = self.controller.step(dt_s, error, subtract(tau_fault, health.explained_b_nm), health)
             if self._feed_forward and not self.guidance.target.at_rest:
-                torque = add(torque, self._follow_target(error, rate, momentum))
+                follow = self._follow_target(error, rate, momentum)
+                torque = add(torque, follow)
         else:
             tau_fault = ZERO3
             health = self._judge(self.wheel_health.step(dt_s, wheels, tau_rw_nm, None))
@@ -201,7 +210,7 @@ class Flight:
         self.error_deg = 2.0 * math.acos(min(1.0, abs(error.q_tb[0]))) * DEG_PER_RAD
         self._drive(mode, torque, health)
         if mode is POINT or mode is DEGRADED:
-            self.controller.note_sent(self._expect())
+            self.controller.note_sent(subtract(self._expect(), follow) if follow != ZERO3 else self._expect())
 
     def _judge(self, health: WheelHealth) -> WheelHealth:
         """The health to reckon with: a wheel that is not fitted is not available, and gains that the drive makes up for are

@@ -12,7 +12,7 @@ from bus.telemetry.link import Link, Row, TickPacker, announce_topics, pack_inpu
 from bus.wheels import ACTIONS, CLEAR_LATCH
 from fsw.flight import Flight
 from fsw.modes import Mode
-from fsw.records import NO_KIND, WheelHealth
+from fsw.records import NO_KIND, NO_WHEEL, Flags4, WheelHealth
 from fsw.telemetry import (
     CONTROL_TOPICS,
     FIRST_CHANNEL,
@@ -46,6 +46,7 @@ class FlightLog:
         self._requests_said = 0
         self._rivals_said: set[int] = set()
         self._kinds, self._available, self._dither = NO_KIND, flight.vehicle.fitted, 0
+        self._dead = NO_WHEEL
         self._waited_for, self._since_tick, self._said = "", 0, False
         self._every_tick = TickPacker(TICK_TOPICS, FIRST_CHANNEL)
         self._on_control = TickPacker(CONTROL_TOPICS, FIRST_CHANNEL + len(TICK_TOPICS))
@@ -57,6 +58,8 @@ class FlightLog:
             packers.append(TickPacker(diagnostics, FIRST_CHANNEL + len(TICK_TOPICS) + len(CONTROL_TOPICS)))
         self._diagnostics = packers[2] if diagnostics else None
         link.announce(announce_topics(packers, inputs={INPUT_CHANNEL: INPUT_TOPIC}), self.pack_rows)
+        for words in flight.cautions:
+            link.event(0, "warning", "fsw", words)
 
     def write(self, tick: int, frames: bytes, commands: Sequence[Command], flags: int) -> None:
         """Log the cycle of this tick: what it was given, what it knows, and, in words, every change of mode.
@@ -73,6 +76,8 @@ class FlightLog:
             health = flight.health
             if health.kind != self._kinds or health.available != self._available or health.dither != self._dither:
                 self._say_wheels(health, t_ns)
+            if health.dead != self._dead:
+                self._say_dead(health.dead, t_ns)
         counters = flight.executive
         diagnostics = None
         control = read_control(flight) if flight.control_ran else None
@@ -164,6 +169,15 @@ class FlightLog:
         elif health.dither == 0 and self._dither == 1:
             event(t_ns, "info", "fsw", "dither ends")
         self._kinds, self._available, self._dither = health.kind, health.available, health.dither
+
+    def _say_dead(self, dead: Flags4, t_ns: int) -> None:
+        """A line for every wheel that is given up, or comes back."""
+        for i in (0, 1, 2, 3):
+            if dead[i] and not self._dead[i]:
+                self.link.event(t_ns, "warning", "fsw", f"wheel.{i + 1} gives no torque: none is planned on it")
+            elif self._dead[i] and not dead[i]:
+                self.link.event(t_ns, "info", "fsw", f"wheel.{i + 1} gives torque again")
+        self._dead = dead
 
     def _say_mode(self, tick: int, t_ns: int) -> None:
         """A line for every change of mode, and one for what a mode has been waiting for for WAIT_S."""

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from fsw.controllers.braking_profile import BrakingProfile
+from fsw.controllers.dismc import DiscreteIntegralSlidingMode
 from fsw.controllers.fuzzy_pid import FuzzyPid
 from fsw.controllers.pid import Pid
 from fsw.controllers.rate_pid import RatePid
 from fsw.controllers.settings import (
     BrakingProfileConfig,
+    DismcConfig,
     FuzzyPidConfig,
     PidConfig,
     RatePidConfig,
@@ -21,6 +23,7 @@ from fsw.registry import Registry
 
 REGISTRY: Registry[Controller] = Registry(
     (BrakingProfileConfig, BrakingProfile),
+    (DismcConfig, DiscreteIntegralSlidingMode),
     (FuzzyPidConfig, FuzzyPid),
     (PidConfig, Pid),
     (RatePidConfig, RatePid),

@@ -30,6 +30,25 @@ class BrakingProfileConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class DismcConfig:
+    """Discrete integral sliding mode with an estimate of the disturbance, after CN103699131B: docs/dismc.md.
+
+    Made for `allocator: direct`, and for no observer: it estimates what acts on the body itself.
+    """
+
+    kind: Literal["dismc"]
+    frequency_rad_s: Annotated[RadS, Gt(0)] = 0.1  # of the motion that is aimed at
+    damping: Positive = 0.9  # of that motion [1]
+    kappa: Annotated[float, Gt(0), Le(1)] = 0.3  # share of the surface that is taken back in a sample; the patent: 1
+    lam: Annotated[float, Gt(0), Le(1)] = 0.3  # weight of the newest disturbance, per sample; the patent: 1
+    c_1_s: NonNegative | None = None  # weight of the angle in the surface [1/s]; none: no offset from a gyro's bias
+    latency: Annotated[int, Ge(0), Le(5)] = 0  # samples that pass until a command acts
+    anti_windup: bool = True  # leave out of the surface what the wheels could not give
+    torque_ratio: tuple[Positive, Positive] = (0.5, 2.0)  # true over assumed torque for which the loop must be stable
+    stability: Literal["refuse", "warn"] = "refuse"  # where it is not: do not start, or say so and fly
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FuzzyPidConfig:
     """PID with fuzzy rules over angle and rate that set its gains: those of `rate_pid` (base: rate) or `pid` (engineering).
 
