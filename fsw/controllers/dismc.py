@@ -40,9 +40,10 @@ class DiscreteIntegralSlidingMode(Controller):
     v^ach is the torque that acted over the interval that ends now, as the allocator really gave it: what was sent `latency`
     samples before the last. kappa = lam = 1 is the patent, with sigma_(k+1) = G (d_k - d_(k-1)).
 
-    Differs from the patent: the bracket; kappa, lam, latency and the last term of eps are added; x_0 is the state at the first
-    step, and at one after a jump of the target, and takes no part in v. The estimates are held as rates, d / T, so that a period
-    that was longer does no harm. Gyroscopic torque is part of d. What the observer reports is made up for once: not by d too.
+    Differs from the patent: the bracket; kappa, lam, latency and the last term of eps are added; x_0 is the state at the
+    first step, and at one after a jump of the target, and takes no part in v. The estimates are held as rates, d / T, so
+    that a period that was longer does no harm. Gyroscopic torque is part of d. What the observer reports is made up for
+    once: d leaves it out.
     """
 
     __slots__ = (
