@@ -10,7 +10,7 @@ from fsw import allocators, controllers, estimation, gyro_fdi, observers, wheel_
 from fsw.allocators.settings import PseudoInverseConfig
 from fsw.guidance.timeline import TimelineEntry
 from fsw.gyro_fdi.settings import NoDetectorConfig
-from fsw.settings import DriveConfig, ExecutiveConfig, GuidanceConfig, ModelConfig, ModesConfig
+from fsw.settings import DriveConfig, ExecutiveConfig, GuidanceConfig, ModelConfig, ModesConfig, NullSpaceConfig
 from fsw.wheel_health.settings import NoWheelHealthConfig
 
 if TYPE_CHECKING:
@@ -43,6 +43,7 @@ class FswConfig:
     wheel_health: WheelHealthConfig = field(default_factory=lambda: NoWheelHealthConfig(kind="none"))
     controller: ControllerConfig
     allocator: AllocatorConfig = field(default_factory=lambda: PseudoInverseConfig(kind="pseudo_inverse"))
+    null_space: NullSpaceConfig = field(default_factory=NullSpaceConfig)
     drive: DriveConfig = field(default_factory=DriveConfig)
     executive: ExecutiveConfig = field(default_factory=ExecutiveConfig)
     modes: ModesConfig = field(default_factory=ModesConfig)

@@ -23,6 +23,7 @@ from fsw.guidance import Guidance, timeline
 from fsw.guidance.guidance import feed_forward
 from fsw.inputs import Inputs
 from fsw.modes import DEGRADED, POINT, STANDBY, Mode, ModeManager
+from fsw.null_space import NullSpace
 from fsw.outputs import Outputs
 from fsw.rate_mean import RateMean
 from fsw.records import (
@@ -83,6 +84,7 @@ class Flight:
         self.wheel_health = wheel_health.REGISTRY.make(config.wheel_health, vehicle, control_s)
         self.controller = controllers.REGISTRY.make(config.controller, vehicle, control_s)
         self.allocator = allocators.REGISTRY.make(config.allocator, vehicle, control_s)
+        self.null_space = NullSpace(config.null_space, vehicle)
         self.drive = Drive(config.drive, vehicle, config.wheel_health.kind)
         self.guidance = Guidance(config.target_q)
         self.control_slot, self.diagnostics_slot = flight_schedule(config.executive.control_divider).open_slots()
@@ -208,7 +210,7 @@ class Flight:
             torque = self._damp(mode, rate)
         self.tau_fault_hat_b_nm, self.health, self.error = tau_fault, health, error
         self.error_deg = 2.0 * math.acos(min(1.0, abs(error.q_tb[0]))) * DEG_PER_RAD
-        self._drive(mode, torque, health)
+        self._drive(dt_s, mode, torque, health)
         if mode is POINT or mode is DEGRADED:
             self.controller.note_sent(subtract(self._expect(), follow) if follow != ZERO3 else self._expect())
 
@@ -231,13 +233,16 @@ class Flight:
             self.out_of_reach = "" if axes == 3 else f"the wheels in use span {axes} of three axes; out: {out}"
         return health
 
-    def _drive(self, mode: Mode, torque_b_nm: Vec3, health: WheelHealth) -> None:
+    def _drive(self, dt_s: float, mode: Mode, torque_b_nm: Vec3, health: WheelHealth) -> None:
         """Allocate a body torque and make the wheels' commands of it."""
         if mode is STANDBY:
+            self.null_space.reset()
             self.allocation, self.wheel_commands, self.tau_cmd_b_nm = Allocation(), REST, ZERO3
             return
         self.allocation = self.allocator.allocate(torque_b_nm, health)
         tau_rw_nm = self.allocation.tau_rw_nm
+        if self.null_space.on:
+            tau_rw_nm = self.null_space.step(dt_s, tau_rw_nm, self.allocation, health, self.inputs.sensors)
         if health.dither == 1:
             tau_rw_nm = self.vehicle.wheels.add_within(tau_rw_nm, health.dither_rw_nm)
         if health.dead != NO_WHEEL:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from bus.units import Ge, Gt, Mat3, Positive, RadS, Seconds, Unit, Vec3
+from bus.units import Ge, Gt, Le, Mat3, Positive, RadS, Seconds, Unit, Vec3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,3 +91,19 @@ class DriveConfig:
 
     friction: Literal["none", "nominal"] = "none"  # nominal: the drag of the wheels' motors is made up for
     gain: Literal["none", "estimated"] = "none"  # estimated: and the gains and friction that wheel health estimates
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NullSpaceConfig:
+    """What four wheels do among themselves, without a torque on the body. Everything is off unless asked for."""
+
+    momentum_gain_1_s: Annotated[float, Unit("1/s"), Ge(0), Le(1)] = (
+        0.0  # how fast null momentum decays; 0: it is left alone
+    )
+    momentum_nms: Annotated[float, Unit("N m s")] = 0.0  # what it decays to
+    avoid_speed_rad_s: Annotated[RadS, Ge(0)] = 0.0  # wheels are kept faster than this by null torque; 0: they are not
+    avoid_gain_1_s: Annotated[float, Unit("1/s"), Gt(0), Le(1)] = 0.5  # how fast a wheel that is slower is brought out
+    dither_nm: Annotated[float, Unit("N m"), Ge(0)] = (
+        0.0  # square wave of null torque, of the wheel most moved; 0: none
+    )
+    dither_period_s: Annotated[Seconds, Ge(0)] = 0.0  # of that wave

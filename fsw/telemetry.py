@@ -2,8 +2,8 @@
 
 One record a cycle: /fsw/attitude, /fsw/fdi, /fsw/timing, and /fsw/input with what the cycle was given. One record a control
 period, on the ticks on which control ran: /fsw/guidance, /fsw/control, /fsw/observer, /fsw/wheel_health, /fsw/executive.
-With them, unless the executive sheds them, what the chosen algorithms hold inside: /fsw/law, /fsw/detector, ..., and
-/fsw/wheel_power where a wheel has a motor of its own.
+With them, unless the executive sheds them, what the chosen algorithms hold inside: /fsw/law, /fsw/detector, ..., with
+/fsw/null_space where the wheels do anything among themselves, and /fsw/wheel_power where a wheel has a motor of its own.
 
 A topic stands here twice: its layout, and its line in `read_tick` or `read_control`, in the same order. The log and a
 bench in Python both have their values from there.
@@ -15,6 +15,7 @@ from collections.abc import Iterable
 from typing import Any, Final
 
 from bus.telemetry.link import Field, Topic
+from fsw.families import NO_INTERNALS
 from fsw.flight import Flight
 
 FIRST_CHANNEL: Final = 101
@@ -187,6 +188,7 @@ def read_internals(flight: Flight) -> dict[str, tuple[Any, ...]]:
         "/fsw/observer_state": flight.observer.internals,
         "/fsw/wheel_state": flight.wheel_health.internals,
         "/fsw/allocator": flight.allocator.internals,
+        "/fsw/null_space": flight.null_space.internals if flight.null_space.on else NO_INTERNALS,
         "/fsw/wheel_power": flight.wheel_power,
     }
 

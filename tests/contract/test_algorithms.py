@@ -30,7 +30,8 @@ ZERO: Vec3 = (0.0, 0.0, 0.0)
 ZERO4: Vec4 = (0.0, 0.0, 0.0, 0.0)
 
 FAMILIES = (estimation, gyro_fdi, observers, wheel_health, controllers, allocators)
-VARIANTS: dict[str, list[dict[str, Any]]] = {  # beside the default settings of each kind
+# Beside the default settings of each kind; where two families have a kind of one name, by the name of its settings
+VARIANTS: dict[str, list[dict[str, Any]]] = {
     "smc": [{"beta_law": "lyapunov"}, {"beta_law": "fixed"}],
     "braking_profile": [{"adapt": False}],
     "fuzzy_pid": [
@@ -39,6 +40,7 @@ VARIANTS: dict[str, list[dict[str, Any]]] = {  # beside the default settings of 
         {"tables": "even"},
         {"inference": "prod"},
     ],
+    "DirectAllocationConfig": [{"use_health": False}, {"share_min": 0.2}, {"dead_below": 1e-6}],
     "pseudo_inverse": [{"saturation": "direction"}],
     "ilo": [{"k1": 1.0, "k2": 20.0, "k3": 0.0}],
     "torque_monitor": [{"reaction": "report"}],
@@ -49,17 +51,21 @@ VARIANTS: dict[str, list[dict[str, Any]]] = {  # beside the default settings of 
 }
 
 
+def list_variants(config: Any) -> list[dict[str, Any]]:
+    return VARIANTS.get(type(config).__name__, VARIANTS.get(config.kind, []))
+
+
 def list_configs(family: ModuleType) -> list[Any]:
     """Settings of every kind of a family: its defaults, and its variants."""
     found = []
     for kind, (make_settings, _) in family.REGISTRY.kinds.items():
         config = make_settings(kind=kind)
-        found += [config, *(replace(config, **changes) for changes in VARIANTS.get(kind, []))]
+        found += [config, *(replace(config, **changes) for changes in list_variants(config))]
     return found
 
 
 def name(config: Any) -> str:
-    for changes in VARIANTS.get(config.kind, []):
+    for changes in list_variants(config):
         if all(getattr(config, key) == value for key, value in changes.items()):
             return "-".join([config.kind, *map(str, changes.values())])
     return str(config.kind)
@@ -151,7 +157,7 @@ def find_shape(internals: Any) -> list[tuple[str, int]]:
 def test_every_kind_can_be_made_with_its_defaults_alone() -> None:
     """`{kind: x}` is enough in a scenario, no variant listed here is of a kind that is gone, and no two names are equal."""
     configs = [config for family in FAMILIES for config in list_configs(family)]
-    assert {config.kind for config in configs} >= set(VARIANTS)
+    assert {word for config in configs for word in (config.kind, type(config).__name__)} >= set(VARIANTS)
     for family in FAMILIES:
         names = [name(config) for config in list_configs(family)]
         assert len(set(names)) == len(names) >= 2

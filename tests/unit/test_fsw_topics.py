@@ -51,4 +51,11 @@ def test_every_listed_topic_can_be_read(bench: Bench) -> None:
     names = list_topics(bench.flight)
     assert {topic.name.strip("/").replace("/", ".") for topic in TOPICS} < set(names)
     empty = {name for name in names if not list_values(name, bench.truth, bench.flight)}
-    assert empty <= {"fsw.detector", "fsw.estimator", "fsw.wheel_state", "fsw.allocator", "fsw.wheel_power"}
+    assert empty <= {
+        "fsw.detector",
+        "fsw.estimator",
+        "fsw.wheel_state",
+        "fsw.allocator",
+        "fsw.null_space",
+        "fsw.wheel_power",
+    }

@@ -31,6 +31,7 @@ PLACES = {
     "fsw.vehicle": ("fsw", "model"),
     "fsw.wheel_geometry": ("fsw", "model", "wheels"),
     "fsw.modes": ("fsw", "modes"),
+    "fsw.null_space": ("fsw", "null_space"),
     "fsw.drive": ("fsw", "drive"),
 }
 BEYOND = (ArithmeticError, ValueError, MemoryError, np.linalg.LinAlgError)  # what absurd numbers end in

@@ -12,7 +12,7 @@ from tools.config.signal_shapes import CONSTANT, UNKNOWN, Width, find_shape
 # Topics whose fields depend on the algorithms that fly: known once these have been built
 OPEN_TOPICS = (
     "fsw.law", "fsw.detector", "fsw.estimator", "fsw.observer_state", "fsw.wheel_state", "fsw.allocator",
-    "fsw.wheel_power",
+    "fsw.null_space", "fsw.wheel_power",
 )  # fmt: skip
 
 Topics = Mapping[str, Mapping[str, int]]  # topic as expressions write it (truth.attitude) -> field -> width
