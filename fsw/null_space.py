@@ -19,6 +19,7 @@ from fsw.vehicle import Vehicle
 
 USED_SPEED = 0.95  # share of its largest speed that a wheel is brought to at most to keep another from zero
 LEAST_PART = 1e-6  # part of a wheel in the null space below which it cannot be moved by it
+ROUNDING = 1e-9  # of a period of the dither
 Gap = tuple[float, float]
 
 
@@ -97,8 +98,10 @@ class NullSpace:
     def _dither(self, dt_s: float) -> float:
         """The square wave at this time; plus in the first half of each period."""
         period = self._config.dither_period_s
-        sign = 1.0 if self._dither_s < 0.5 * period else -1.0
-        self._dither_s = math.fmod(self._dither_s + dt_s, period)
+        # With room for rounding: a half that is one sample longer than the other would be a mean that adds up
+        sign = 1.0 if self._dither_s < (0.5 - ROUNDING) * period else -1.0
+        self._dither_s += dt_s
+        self._dither_s -= period * math.floor(self._dither_s / period + ROUNDING)
         return sign * self._swing_nm
 
     def _find_room(self, wanted_nm: float, tau_rw_nm: Vec4, way: Vec4) -> float:
