@@ -43,6 +43,7 @@ VARIANTS: dict[str, list[dict[str, Any]]] = {
     "DirectAllocationConfig": [{"use_health": False}, {"share_min": 0.2}, {"dead_below": 1e-6}],
     "pseudo_inverse": [{"saturation": "direction"}],
     "ilo": [{"k1": 1.0, "k2": 20.0, "k3": 0.0}],
+    "share_kalman": [{"dither": "off"}, {"command_latency_s": 0.01}, {"average": 1, "probe_nm": 0.0}],
     "torque_monitor": [{"reaction": "report"}],
     "wheel_kalman": [{"reaction": "report"}, {"reaction": "compensate"}, {"dither": True}],
     "wheel_kalman_paper": [{"model": "voltage"}],
