@@ -48,11 +48,12 @@ class NullSpace:
         self.on = config.momentum_gain_1_s > 0.0 or config.avoid_speed_rad_s > 0.0 or config.dither_nm > 0.0
         self._config = config
         self._wheels = vehicle.wheels
-        self._null = _normalise(vehicle.wheels.find_null(vehicle.fitted)) if self.on else ZERO4
+        # Not _null: mypyc makes __null of it, which gcc takes for a word of its own
+        self._n0 = _normalise(vehicle.wheels.find_null(vehicle.fitted)) if self.on else ZERO4
         self._swing_nm = 0.0
         if self.on:
-            _check(config, vehicle, self._null)
-            self._swing_nm = config.dither_nm / max(abs(part) for part in self._null)
+            _check(config, vehicle, self._n0)
+            self._swing_nm = config.dither_nm / max(abs(part) for part in self._n0)
         self._least_nms = [config.avoid_speed_rad_s * inertia for inertia in vehicle.wheel_inertia_kgm2]
         self._most_nms = [
             USED_SPEED * inertia * speed
@@ -79,12 +80,12 @@ class NullSpace:
         known = sensors.wheels_valid() == ALL_WHEELS
         if known:
             h_nms = sensors.wheel_momenta()
-            eta = _multiply(self._null, h_nms)
+            eta = _multiply(self._n0, h_nms)
             target, gain = self._find_target(eta, h_nms)
             wanted = gain * (eta - target)
         if config.dither_nm > 0.0:
             wanted += self._dither(dt_s)
-        a, b, c, d = self._null
+        a, b, c, d = self._n0
         p, q, r, s = shares
         way = (a / p, b / q, c / r, d / s)
         gamma = self._find_room(wanted, tau_rw_nm, way)
@@ -136,7 +137,7 @@ class NullSpace:
         least, most = -math.inf, math.inf
         barred: list[Gap] = []
         for i in (0, 1, 2, 3):
-            part = self._null[i]
+            part = self._n0[i]
             if abs(part) < LEAST_PART:
                 continue
             middle = eta_nms - h_nms[i] / part  # at which this wheel stands still

@@ -97,12 +97,10 @@ class DriveConfig:
 class NullSpaceConfig:
     """What four wheels do among themselves, without a torque on the body. Everything is off unless asked for."""
 
-    momentum_gain_1_s: Annotated[float, Unit("1/s"), Ge(0), Le(1)] = (
-        0.0  # how fast null momentum decays; 0: it is left alone
-    )
-    momentum_nms: Annotated[float, Unit("N m s")] = 0.0  # what it decays to
+    momentum_gain_1_s: Annotated[float, Ge(0), Le(1)] = 0.0  # how fast null momentum decays [1/s]; 0: it is left alone
+    momentum_nms: float = 0.0  # what it decays to [N m s]
     avoid_speed_rad_s: Annotated[RadS, Ge(0)] = 0.0  # wheels are kept faster than this by null torque; 0: they are not
-    avoid_gain_1_s: Annotated[float, Unit("1/s"), Gt(0), Le(1)] = 0.5  # how fast a wheel that is slower is brought out
+    avoid_gain_1_s: Annotated[float, Gt(0), Le(1)] = 0.5  # how fast a wheel that is slower is brought out [1/s]
     dither_nm: Annotated[float, Unit("N m"), Ge(0)] = (
         0.0  # square wave of null torque, of the wheel most moved; 0: none
     )
