@@ -30,7 +30,7 @@ class ShareKalmanConfig:
 
     kind: Literal["share_kalman"]
     average: Annotated[int, Ge(1), Le(100)] = 2  # control periods whose mean makes one measurement
-    command_latency_s: Annotated[Seconds, Ge(0), Le(10)] = 0.0  # that passes until a wheel has its command
+    command_latency_s: Annotated[Seconds, Ge(0), Le(1)] = 0.0  # that passes until a wheel has its command
     speed_quantum_rad_s: Annotated[RadS, Ge(0)] = 1e-3  # step of the speed telemetry
     torque_noise_nm: Annotated[float, Unit("N m"), Ge(0)] = 5e-4  # of a measured torque, beside those steps; 1 sigma
     share_walk_sqrt_s: Annotated[float, Gt(0)] = 3.16e-3  # how fast a share may wander [1/sqrt(s)]
@@ -43,17 +43,14 @@ class ShareKalmanConfig:
     cusum_drift: Annotated[float, Gt(0)] = 3.0  # taken off r^2/S at every measurement; a sound wheel's mean is 1
     cusum_jump: Annotated[float, Gt(0)] = 12.0  # a sum of this opens the covariance
     share_dead_band: Annotated[float, Ge(0), Le(0.5)] = 0.01  # a share this close to 1 is taken for 1
-    bias_dead_band: Annotated[float, Ge(0), Le(0.5)] = (
-        0.002  # a bias below it for none, in shares of the largest torque
-    )
+    bias_dead_band: Annotated[float, Ge(0), Le(0.5)] = 0.002  # a bias below it for 0, in shares of the largest torque
     alarm_share: Annotated[float, Gt(0), Le(1)] = 0.1  # a share further below 1 than this (and 3 sigma) is an alarm
     alarm_bias: Annotated[float, Gt(0), Le(1)] = 0.05  # likewise a bias, in shares of the largest torque
     dead_below: Annotated[float, Ge(0), Lt(1)] = 0.1  # a wheel with a smaller share is dead, 0: none ever is ...
     dead_sigma: Annotated[float, Gt(0)] = 0.1  # ... once the share's 1 sigma is below this
     alive_above: Annotated[float, Gt(0), Lt(1)] = 0.3  # and until its share is above this
     probe_nm: Annotated[float, Unit("N m"), Ge(0)] = 0.004  # square wave that dead wheels are told; 0: none
-    # square wave in the null space of the wheels: never, while a wheel has an alarm, or always
-    dither: Literal["off", "alarm", "always"] = "alarm"
+    dither: Literal["off", "alarm", "always"] = "alarm"  # square wave in the null space; alarm: while a wheel has one
     dither_nm: Annotated[float, Unit("N m"), Ge(0)] = 0.004  # of the wheel that gets most of it
     wave_period_s: Annotated[Seconds, Gt(0)] = 1.6  # of both waves
     observer_lag_s: Annotated[Seconds, Gt(0)] = 0.3  # time constant of the observer that reports the fault torque

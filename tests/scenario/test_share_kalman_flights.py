@@ -70,8 +70,8 @@ def test_the_probe_finds_the_recovered_wheel_through_gyro_star_tracker_and_laten
     assert (flown.error_deg[199:] < 0.02).all()
 
 
-def test_law_and_learner_alike_stay_in_point_mode_where_no_wheel_is_rated_dead() -> None:
-    """dead_below 0, the other cure: the allocator's floor of 0.15 keeps a wheel of no share in work, and its recovery shows."""
+def test_a_wheel_that_is_never_rated_dead_is_not_locked_out() -> None:
+    """dead_below 0, the other cure: the allocator's floor of 0.15 keeps a wheel of no share at work; its recovery shows."""
     flown = fly("zhang2018", ["fsw.wheel_health={kind: share_kalman, dead_below: 0}"], 160)
     assert (flown.mode[2:] == Mode.POINT).all()
     assert flown.share_z[38] < 0.01

@@ -1,4 +1,4 @@
-"""Health factors by the random-walk filter: a reference estimator, least squares, drawn faults, and what is done about them."""
+"""Health factors by the random-walk filter: a reference estimator, least squares, drawn faults, what is done then."""
 
 from __future__ import annotations
 
@@ -226,7 +226,7 @@ def test_other_drawn_faults_are_found_as_well() -> None:
 
 
 def test_late_commands_are_reckoned_with() -> None:
-    """Commands in force 0.13 s late: with the setting no share moves by 1e-6; without it shares are wrong by more than 0.1."""
+    """Commands in force 0.13 s late: with the setting no share moves by 1e-6; without it by more than 0.1."""
     late = 0.13
     worst = {}
     for setting in (0.0, late):
@@ -268,7 +268,7 @@ def test_delayed_commands_are_the_mean_of_the_delayed_staircase(latency_s: float
 
 
 def test_lost_ticks_make_longer_measurements_and_no_fault() -> None:
-    """Intervals of 0.1 to 0.4 s in turn: shares of sound wheels stay within 1e-9 of 1, a share of 0.5 is found within 1e-3."""
+    """Intervals of 0.1 to 0.4 s in turn: shares of sound wheels stay at 1 to 1e-9, one of 0.5 is found to 1e-3."""
     monitor, wheels = make_monitor(make_config()), Wheels()
     monitor.step(PERIOD_S, wheels.read(), ZERO4, None)
     for k in range(400):
@@ -305,8 +305,8 @@ def test_nothing_is_learnt_of_a_wheel_that_is_not_heard_or_says_that_it_does_not
 
 
 def test_share_and_bias_are_told_and_what_they_explain() -> None:
-    """Wheel 2 gives half, wheel 3 has 4 mN m of its own: both are told, and under a steady command the part explained goes to
-    D (-(1 - e) u + b), which is the closed form."""
+    """Wheel 2 gives half, wheel 3 has 4 mN m of its own: both are told, and under a steady command the part explained
+    goes to D (-(1 - e) u + b), which is the closed form."""
     monitor, wheels = make_monitor(make_config()), Wheels((1.0, 0.5, 1.0, 1.0), (0.0, 0.0, 0.004, 0.0))
     fly(monitor, wheels, 200)
     health = fly(monitor, wheels, 60, torques=lambda k: BUSY)[-1]
@@ -377,8 +377,8 @@ def test_dither_is_not_felt_by_the_body() -> None:
 
 
 def test_dither_is_off_always_or_impossible_as_set() -> None:
-    """Off: never. Always: of sound wheels too. With a dead wheel there is no null space, and that is said. Not while the body
-    is not pointed, when no observer runs."""
+    """Off: never. Always: of sound wheels too. With a dead wheel there is no null space, and that is said. Not while the
+    body is not pointed, when no observer runs."""
     weak: Vec4 = (0.5, 1.0, 1.0, 1.0)
     assert fly(make_monitor(make_config(dither="off")), Wheels(weak), 100)[-1].dither == 0
     assert fly(make_monitor(make_config()), Wheels(), 100)[-1].dither == 0
