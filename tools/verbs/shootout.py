@@ -63,8 +63,8 @@ def run(args: argparse.Namespace) -> int:
     states = {outcome.state for outcome in outcomes}
     if states == {REFUSED}:
         raise ConfigError(f"no pair can fly; {outcomes[0].pair.name}:\n{outcomes[0].reason}")
+    print(json.dumps(shootout.as_dict(), allow_nan=False) if args.json else shootout.as_text(), flush=True)
     _write(shootout, files)
-    print(json.dumps(shootout.as_dict(), allow_nan=False) if args.json else shootout.as_text())
     if shootout.signal:
         return 128 + shootout.signal
     return 3 if FAILED in states else 0 if states == {FLEW} else 1
