@@ -24,7 +24,7 @@ from tools.run.bench import Bench
 
 PERIOD_S: Final = 0.1
 STEPS: Final = 600  # one block: the flight once
-BLOCKS: Final = 7
+BLOCKS: Final = 21
 COMMON = ("clock.mode=inprocess", "clock.tick_hz=10", "expect=[]")
 TURN, HOLD = "zhang2018-flight", "ithaco-hold"
 FLIGHTS = {TURN: ("fsw.executive.control_divider=1", "plant.star_tracker.rate_hz=5"), HOLD: ()}
