@@ -12,7 +12,8 @@ from tools.shootout.flights import FAILED, FLEW, NOT_FLOWN, REFUSED, Outcome
 
 HEADINGS = (
     "law", "allocator", "observer", "wheel health", "5 deg [s]", "1 deg [s]", "0.1 deg [s]", "steady [deg]",
-    "impulse [N m s]", "peak [N m]", "variation [N m/s]", "energy [J]", "u^2 [N^2 m^2 s]", "saturated [%]", "pointing [%]",
+    "impulse [N m s]", "peak [N m]", "variation [N m/s]", "energy [J]", "u^2 [N^2 m^2 s]", "saturated [%]",
+    "pointing [%]",
 )  # fmt: skip
 WORDS = {REFUSED: "cannot fly", FAILED: "failed", NOT_FLOWN: "not flown"}
 
@@ -34,8 +35,8 @@ class Shootout:
         lines = [f"{scenario.name}: {scenario.title}" if scenario.title else scenario.name]
         faults = f"{len(scenario.faults)} faults" if len(scenario.faults) != 1 else "1 fault"
         lines += [
-            f"{end_s:g} s at {scenario.clock.tick_hz} Hz, seed {scenario.seed}, {faults}; every law and allocator with its "
-            "defaults" + (f", but for {', '.join(self.settings)}" if self.settings else ""),
+            f"{end_s:g} s at {scenario.clock.tick_hz} Hz, seed {scenario.seed}, {faults}; every law and allocator with "
+            "its defaults" + (f", but for {', '.join(self.settings)}" if self.settings else ""),
             "",
             *_align(rows),
             "",
