@@ -25,6 +25,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "grade": ("tools.verbs.grade", "grade a log against the scenario it carries"),
     "replay": ("tools.verbs.replay", "fly a log's flight software again and compare it bit for bit"),
     "plot": ("tools.verbs.plot", "draw a log as PNG"),
+    "shootout": ("tools.verbs.shootout", "fly every law with every allocator through the same faults, one table"),
     "bench": ("tools.verbs.bench", "measure what a cycle costs on this machine"),
     "plant": ("tools.verbs.sides", "run the plant alone, on a bus"),
     "fsw": ("tools.verbs.sides", "run the flight software alone, on a bus"),

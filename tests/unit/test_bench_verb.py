@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import json
+import math
 import shutil
+from functools import partial
 from typing import Any
 
 import pytest
 
+from fsw import allocators, controllers, estimation, gyro_fdi, observers, wheel_health
+from fsw.wheel_health.settings import WheelKalmanConfig
 from tools.cli import main
-from tools.measure import instructions, set_up
+from tools.measure import algorithms, instructions, set_up
 from tools.measure.instructions import count_instructions
 from tools.measure.other_build import set_beside
 from tools.verbs import bench
@@ -44,6 +48,32 @@ def test_set_up_is_that_of_a_warm_process(monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.setattr(set_up, "ROUNDS", 3)
     assert list(set_up.measure_set_up("any", []).values()) == [4.0, 3.0, 2.0, 1.0]
     assert len(set(seeds)) == len(seeds) == 4
+
+
+def test_every_registered_algorithm_is_measured(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One finite positive figure for each kind of each family, and no other."""
+    monkeypatch.setattr(algorithms, "measure_algorithms", partial(algorithms.measure_algorithms, 20, 3))
+    assert main(["bench", "--only", "algorithms", "--json"]) == 0
+    figures = json.loads(capsys.readouterr().out)["algorithms"]
+    families = (estimation, gyro_fdi, observers, wheel_health, controllers, allocators)
+    names = [
+        f"{family.__name__.removeprefix('fsw.')} {kind}, us" for family in families for kind in family.REGISTRY.kinds
+    ]
+    assert list(figures) == names
+    assert all(math.isfinite(figure) and figure > 0.0 for figure in figures.values())
+
+
+def test_algorithms_are_driven_as_a_flight_drives_them() -> None:
+    """Sound wheels in a recorded hold raise no alarm, and the recording stays as it was when the flight goes on."""
+    hold = algorithms.record("ithaco-hold", (), 150)
+    monitor = wheel_health.REGISTRY.make(WheelKalmanConfig(kind="wheel_kalman"), hold.vehicle, algorithms.PERIOD_S)
+    for moment in hold.moments:
+        health = algorithms.FAMILIES["wheel_health"].step(monitor, moment)
+        assert not any(health.alarm)
+    assert [moment.sensors.tick for moment in hold.moments] == list(range(150))
+    assert len({moment.sensors.wheels[0].speed_rad_s for moment in hold.moments}) > 100
 
 
 def test_instructions_are_counted_only_when_asked_for(

@@ -17,6 +17,7 @@ BOTH = (
     "set-up",
     "codec",
     "detection",
+    "algorithms",
     "wheels",
     "instructions",
 )  # what depends on the build

@@ -216,6 +216,12 @@ class _Timed(Detector):
         return detection
 
 
+def _measure_algorithms(seconds: float) -> dict[str, Any]:
+    from tools.measure.algorithms import measure_algorithms
+
+    return measure_algorithms()
+
+
 def _measure_wheels(seconds: float) -> dict[str, Any]:
     from tools.measure.wheels import measure_wheels
 
@@ -245,6 +251,7 @@ MEASUREMENTS: dict[str, Callable[[float], dict[str, Any]]] = {
     "set-up": _measure_set_up,
     "codec": _measure_codec,
     "detection": _measure_detection,
+    "algorithms": _measure_algorithms,
     "wheels": _measure_wheels,
     "bus": _measure_bus,
     "basilisk": _measure_basilisk,
