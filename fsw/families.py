@@ -33,6 +33,11 @@ class Algorithm:
         """A named tuple of numbers and tuples of numbers, fixed in shape, for telemetry."""
         return NO_INTERNALS
 
+    @property
+    def remark(self) -> str:
+        """What is to be said of its settings when a flight begins, in words; empty where nothing is."""
+        return ""
+
     def reset(self) -> None:
         """Back to where it was when it was made."""
         raise NotImplementedError
