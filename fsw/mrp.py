@@ -1,8 +1,8 @@
 """Modified Rodrigues parameters sigma = e tan(theta/4): kinematics, rotation, error, and which of the two sets to use.
 
-Every attitude has two sets, sigma and its shadow -sigma/|sigma|^2: those of q and of -q. Guidance has already chosen the sign
-of the error quaternion, with hysteresis, so q0 may be as low as -0.1 and |sigma|^2 as high as 1.1/0.9. Laws take the set of
-that very quaternion (`find_mrp`) and do not choose again: two switches with two thresholds would disagree in between.
+Every attitude has two sets, sigma and its shadow -sigma/|sigma|^2: those of q and of -q. Guidance has already chosen the
+sign of the error quaternion, with hysteresis, so q0 may be as low as -0.1 and |sigma|^2 as high as 1.1/0.9. Laws take the
+set of that very quaternion (`find_mrp`) and do not choose again: two switches with two thresholds would disagree in between.
 `ShadowSwitch` is for whoever has parameters that no guidance has looked at.
 
 Source: Li & Liu 2011, eq (8) and its note on the shadow set; Schaub & Junkins, Analytical Mechanics of Space Systems, 2003,

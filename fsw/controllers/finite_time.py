@@ -42,7 +42,7 @@ class FiniteTime(Controller):
     theorem 2 asks for. The rest of theorem 2, J (R w_t' - w x R w_t), is the flight's feed-forward, which counts the
     target's part R w_t x J R w_t of the gyroscopic torque too; that part is left out here.
 
-    sampling: implicit, form A alone: the torque that is right at the end of the period, from the scalar equation of each axis
+    sampling: implicit, form A alone: the torque that is right at the end of the period, from one equation for each axis
 
         w+ = w - T/J_ii (k1 sig(s + T/4 w+)^alpha1 + k2 sig(w+)^alpha2),   torque J_ii (w+ - w)/T
 

@@ -16,6 +16,7 @@ from typing import Final
 from bus.units import Mat3
 
 G_NORM: Final = math.sqrt(3.0) / 2.0  # most that the rows or columns of |G(sigma)| add up to, |sigma| <= 1
+ROOT: Final = math.pow(2.0, 0.4)
 SPAN: Final = 15.0  # natural logarithm: how far b is looked for on either side of beta^(10/3), near which it lies
 LEAST_LOG: Final = -40.0  # and of the slopes that a gain may cover
 MOST_LOG: Final = 20.0
@@ -25,14 +26,11 @@ SEARCHES: Final = 120  # steps of a golden-section or bisection search: to the l
 
 def bound_gain(beta: float, weight: float) -> float:
     """Return m_min(beta, b) [1/s^2], b = weight: above it V' <= -c sum(...) is proven."""
-    kappa = 1.4 * 2.0**0.4 * beta ** (5.0 / 3.0)
-    epsilon = (8.0 / 15.0) * 2.0**-0.4 * beta
-    eta = (9.0 * kappa * G_NORM / (8.0 * weight)) ** 0.6
-    return (
-        weight * beta / 3.0
-        + weight * 2.0**0.4 * 0.375 * epsilon ** (-5.0 / 3.0)
-        + kappa * G_NORM * (1.0 + 0.625 * beta * eta)
-    )
+    kappa = 1.4 * ROOT * math.pow(beta, 5.0 / 3.0)
+    epsilon = (8.0 / 15.0) / ROOT * beta
+    eta = math.pow(9.0 * kappa * G_NORM / (8.0 * weight), 0.6)
+    share = weight * (beta / 3.0 + ROOT * 0.375 * math.pow(epsilon, -5.0 / 3.0))
+    return share + kappa * G_NORM * (1.0 + 0.625 * beta * eta)
 
 
 def find_least_gain(beta: float) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""Where the body will be once a torque commanded now begins to act: past the torques already sent that have not acted yet."""
+"""Where the body will be once a torque commanded now begins to act: past the torques sent that have not acted yet."""
 
 from __future__ import annotations
 

@@ -204,8 +204,8 @@ def _explain_gain(config: PowerIntegratorConfig, gain: float, least: float) -> s
     counts = "" if config.inertia_weight else f", which counts as {gain:.4g} rad/s^2,"
     need = least * config.m / gain
     return (
-        f"fsw.controller.m: {given}{counts} is below m_min = {least:.4g} rad/s^2 of beta {config.beta:g}, and finite time is "
-        f"not proven; take m >= {need:.4g}, or beta <= {find_largest_beta(gain):.3g}"
+        f"fsw.controller.m: {given}{counts} is below m_min = {least:.4g} rad/s^2 of beta {config.beta:g}, and "
+        f"finite time is not proven; take m >= {need:.4g}, or beta <= {find_largest_beta(gain):.3g}"
     )
 
 
