@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus.attitude import canonical, mrp_from_quaternion, normalise
-from bus.linear import ZERO3, add, cross, invert_symmetric, subtract, times
+from bus.linear import ZERO3, add, cross, invert_symmetric, scale, subtract, times
 from bus.settings import build
 from bus.units import DEG, Mat3, Vec3, Vec4
 from fsw.controllers import REGISTRY
@@ -32,6 +32,7 @@ SMALL: Mat3 = ((20.0, 1.2, 0.9), (1.2, 17.0, 1.4), (0.9, 1.4, 15.0))  # a second
 START_Q: Vec4 = normalise((0.85, 0.25, -0.3, 0.35))  # 63.6 deg off
 START_RATE: Vec3 = (0.51 * DEG, 0.3 * DEG, 0.009 * DEG)
 NO_LIMIT_NM = 1e4
+TRIAL_S = 260.0
 
 
 @dataclass(slots=True)
@@ -72,7 +73,7 @@ def last_above(t_s: Floats, values: Floats, level: float) -> float:
 
 def make_law(settings: dict[str, Any], period_s: float = 0.1, inertia_kgm2: Mat3 = INERTIA) -> Controller:
     """A controller from settings as a scenario has them, of a body whose gyroscopic torque is w x J w."""
-    config = build(REGISTRY.kinds[settings["kind"]][0], settings, "study")
+    config: Any = build(REGISTRY.kinds[settings["kind"]][0], settings, "study")
     return REGISTRY.make(config, Vehicle(ModelConfig(inertia_kgm2=inertia_kgm2, wheel_momentum=False)), period_s)
 
 
@@ -154,7 +155,7 @@ def fly_continuous(
     def torque(t: float, q: Vec4, w: Vec3) -> Vec3:
         return add(push(t, q, w), disturbance(t))
 
-    rows = []
+    rows: list[tuple[float, ...]] = []
     for step in range(round(until_s / step_s) + 1):
         body.t_s = step * step_s
         if step % every == 0:
@@ -182,7 +183,8 @@ def fly_sampled(
     noise   : errors of sigma [1] and rate [rad/s], asked for once a period
     stages  : integration steps of a period
     """
-    rows, late = [], [ZERO3] * latency
+    rows: list[tuple[float, ...]] = []
+    late = [ZERO3] * latency
     step_s = period_s / stages
     for period in range(round(until_s / period_s) + 1):
         start_s = period * period_s
@@ -219,3 +221,24 @@ def draw_start(
     k = math.sin(half) / norm
     a, b, c = rng.uniform(-most_rate_rad_s, most_rate_rad_s, size=3)
     return (math.cos(half), k * x, k * y, k * z), (float(a), float(b), float(c))
+
+
+def draw_trials(count: int, seed: int) -> list[Body]:
+    """Random bodies: 30 .. 120 deg off, up to 0.5 deg/s about each axis, 0.8 .. 1.2 times the inertia that laws know."""
+    rng = np.random.default_rng(seed)
+    trials = []
+    for _ in range(count):
+        q, w = draw_start(rng, 30.0, 120.0, 0.5 * DEG)
+        k = float(rng.uniform(0.8, 1.2))
+        x, y, z = (scale(row, k) for row in INERTIA)
+        trials.append(Body(q, w, (x, y, z)))
+    return trials
+
+
+def find_trial_settling(settings: dict[str, Any], trials: list[Body], level_deg: float) -> list[float]:
+    """Return the last time at which each body's error exceeds a level [s]: 0.1 N m about each axis, sampled at 0.1 s."""
+    found = []
+    for trial in trials:
+        body = Body(trial.q, trial.omega, trial.inertia)
+        found.append(fly_sampled(make_law(settings), body, TRIAL_S, stages=2).find_settling_deg(level_deg))
+    return found
