@@ -42,6 +42,7 @@ class FlightLog:
         self._flight = flight
         self.link = link
         self._tick_ns = tick_ns
+        self._begun = False
         self._mode_changes = 0
         self._requests_said = 0
         self._rivals_said: set[int] = set()
@@ -65,6 +66,8 @@ class FlightLog:
         """
         flight, link = self._flight, self.link
         t_ns = tick * self._tick_ns
+        if not self._begun:
+            self._say_remarks(t_ns)
         self._say_mode(tick, t_ns)
         if flight.outputs.requests_sent != self._requests_said:
             self._say_request(t_ns)
@@ -122,6 +125,15 @@ class FlightLog:
         if diagnostics is not None and self._diagnostics is not None:
             data += self._diagnostics.pack_stamped(head, flatten(chain.from_iterable(diagnostics)))
         return data + pack_input(INPUT_CHANNEL, head, slips, flags, commands, frames)
+
+    def _say_remarks(self, t_ns: int) -> None:
+        """A line for every algorithm that has something to say of its settings, when the flight begins."""
+        self._begun, flight = True, self._flight
+        for algorithm in (
+            flight.estimator, flight.detector, flight.observer, flight.wheel_health, flight.controller, flight.allocator,
+        ):  # fmt: skip
+            if algorithm.remark:
+                self.link.event(t_ns, "warning", "fsw", algorithm.remark)
 
     def _say_rivals(self, t_ns: int) -> None:
         """A line, once an id, when a second node is seen to send what only one may."""

@@ -241,7 +241,7 @@ def test_lyapunov_functions_of_b_and_c_never_rise_from_anywhere() -> None:
 
 @pytest.mark.parametrize("alpha1", [0.5, 1.0])
 def test_constant_torque_leaves_the_error_of_the_power(alpha1: float) -> None:
-    """At rest k1 sig(sigma)^alpha1 balances a torque: sigma_i = (d_i/k1)^(1/alpha1), of 2e-3 N m 3000 times less than PD'."""
+    """At rest k1 sig(sigma)^alpha1 balances a torque: sigma_i = (d_i/k1)^(1/alpha1), 3000 times less than with PD."""
     d = 2e-3
     flown = fly_continuous(law(alpha1=alpha1), Body(), 120.0, 5e-2, disturbance=lambda t: (d, -d, d), every=50)
     expected = (d / K1) ** (1.0 / alpha1)
