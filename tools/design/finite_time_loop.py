@@ -240,5 +240,5 @@ def find_trial_settling(settings: dict[str, Any], trials: list[Body], level_deg:
     found = []
     for trial in trials:
         body = Body(trial.q, trial.omega, trial.inertia)
-        found.append(fly_sampled(make_law(settings), body, TRIAL_S, stages=2).find_settling_deg(level_deg))
+        found.append(fly_sampled(make_law(settings), body, TRIAL_S, stages=1).find_settling_deg(level_deg))
     return found
