@@ -316,9 +316,9 @@ def test_prediction_survives_a_wrong_inertia(truth: float, left_deg: float) -> N
 @pytest.mark.slow
 def test_random_starts_settle() -> None:
     """40 random starts, the true inertia 0.8 .. 1.2 times the modelled one: median of the 0.01 deg times at most 60 s."""
-    found = find_trial_settling({"kind": "power_integrator"}, draw_trials(40, 1), 0.01)
+    found = find_trial_settling({"kind": "power_integrator"}, draw_trials(40, 1), 0.01, 85.0)
     assert np.median(found) <= 60.0
-    assert max(found) < 80.0
+    assert max(found) < 78.0
 
 
 @pytest.mark.slow
