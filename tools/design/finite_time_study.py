@@ -4,6 +4,7 @@ python -m tools.design.finite_time_study settling     law (14): a row a form and
 python -m tools.design.finite_time_study paper        law (28) with 10 N m, undisturbed and disturbed
 python -m tools.design.finite_time_study small        0.1 N m about each axis, 0.1 s: settling, what is left, torque
 python -m tools.design.finite_time_study latency      the same, torques late by one and two periods
+python -m tools.design.finite_time_study noise        the same, with noise of attitude and rate
 python -m tools.design.finite_time_study random       40 random starts
 python -m tools.design.finite_time_study gains        m_min(beta)
 """
@@ -125,6 +126,22 @@ def show_latency() -> None:
             print(f"| {name} | {late} | {' | '.join(left)} |")
 
 
+def show_noise() -> None:
+    """What is left with noise of 5e-6 in sigma (4 arcsec) and 1e-5 rad/s, 1 sigma a sample."""
+    print("| law | left [deg] | torque [N m/s] |\n|---|---|---|")
+    for name in ("(28) implicit, beta .13", "(14) A (1, 4)", "(14) A (1, 4) implicit", "PD (6, 10)"):
+        rng = np.random.default_rng(1)
+
+        def noise(rng: np.random.Generator = rng) -> tuple[Vec3, Vec3]:
+            a, b, c = (5e-6 * rng.normal(size=3)).tolist()
+            d, e, f = (1e-5 * rng.normal(size=3)).tolist()
+            return (a, b, c), (d, e, f)
+
+        flown = fly_sampled(make_law(WITH_SMALL_WHEELS[name]), Body(), 240.0, noise=noise)
+        left, variation = flown.find_error_deg()[-400:].max(), flown.find_variation(200.0, 240.0)
+        print(f"| {name} | {left:.1e} | {variation:.2g} |")
+
+
 def show_random() -> None:
     """Time to 0.01 deg from 40 random starts, true inertia 0.8 .. 1.2 times the modelled one."""
     print("| law | median | 10 % | 90 % | max |\n|---|---|---|---|---|")
@@ -147,6 +164,7 @@ SHOWS: dict[str, Callable[[], None]] = {
     "paper": show_paper,
     "small": show_small,
     "latency": show_latency,
+    "noise": show_noise,
     "random": show_random,
     "gains": show_gains,
 }
