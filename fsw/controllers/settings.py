@@ -49,6 +49,27 @@ class DismcConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class FiniteTimeConfig:
+    """PD with powers below one on modified Rodrigues parameters: zero error after finite time. Li & Liu 2011, law (14).
+
+    Defaults are for 0.1 N m wheels and about 45 kg m^2. docs/finite-time.md says when to take it.
+    """
+
+    kind: Literal["finite_time"]
+    form: Literal["A", "B", "C"] = "A"  # A: the paper's; B, C: finite time is proven from everywhere
+    alpha1: Annotated[float, Gt(0), Le(1)] = (
+        0.5  # power of the attitude; of the rate 2 alpha1/(1 + alpha1); 1: a PD law
+    )
+    k1: Positive = 1.0  # gain of the attitude [N m]
+    k2: Positive = 4.0  # gain of the rate [N m (s/rad)^alpha2]
+    sampling: Literal["explicit", "implicit"] = "explicit"  # implicit, form A alone: no limit cycle of the samples
+    gyroscopic: bool = (
+        False  # make up for w x J w too: theorem 2, for targets that turn; not where model.wheel_momentum is
+    )
+    latency: Annotated[int, Ge(0), Le(5)] = 0  # control periods until a torque acts, that the law looks ahead by
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FuzzyPidConfig:
     """PID with fuzzy rules over angle and rate that set its gains: those of `rate_pid` (base: rate) or `pid` (engineering).
 
@@ -89,6 +110,27 @@ class PidConfig:
     limit_nm: TorqueLimit | None = (
         None  # torque about each axis from which on the integral stands; none: the wheels' own
     )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PowerIntegratorConfig:
+    """The rate is led along w = -beta sig(sigma)^(3/5): zero error after finite time. Li & Liu 2011, law (28).
+
+    Defaults are for 0.1 N m wheels and about 45 kg m^2: beta as for no overshoot, sqrt(torque/(0.15 J sigma^0.2)). For
+    smooth rates: docs/finite-time.md.
+    """
+
+    kind: Literal["power_integrator"]
+    m: Positive = 1.1  # gain [rad/s^2]; without inertia_weight [N m]
+    beta: Annotated[RadS, Gt(0)] = 0.13  # slope of the manifold
+    inertia_weight: bool = (
+        True  # the gain is an acceleration, for an inertia of any shape; False: a torque, as published
+    )
+    sampling: Literal["explicit", "implicit"] = "implicit"  # explicit: as published; it chatters at the period
+    gyroscopic: bool = True  # make up for w x J w, as published; not where model.wheel_momentum is
+    latency: Annotated[int, Ge(0), Le(5)] = 0  # control periods until a torque acts, that the law looks ahead by
+    adapt_beta: bool = False  # lower beta with the torque that the wheels are thought to have left
+    gain_check: Literal["refuse", "warn", "off"] = "refuse"  # what to do where m is below what the proof needs for beta
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -34,6 +34,17 @@ FAMILIES = (estimation, gyro_fdi, observers, wheel_health, controllers, allocato
 VARIANTS: dict[str, list[dict[str, Any]]] = {
     "smc": [{"beta_law": "lyapunov"}, {"beta_law": "fixed"}],
     "braking_profile": [{"adapt": False}],
+    "finite_time": [
+        {"form": "B"},
+        {"form": "C", "gyroscopic": True, "latency": 5},
+        {"alpha1": 1.0, "sampling": "implicit"},
+        {"sampling": "implicit", "latency": 1},
+    ],
+    "power_integrator": [
+        {"sampling": "explicit", "adapt_beta": True},
+        {"inertia_weight": False, "m": 50.0, "latency": 2},
+        {"inertia_weight": False, "sampling": "explicit", "gyroscopic": False, "gain_check": "off"},
+    ],
     "fuzzy_pid": [
         {"base": "engineering", "tables": "even"},
         {"base": "engineering"},

@@ -1,7 +1,8 @@
-"""Six sets of wheel faults under the discrete integral sliding mode, over real frames: `python -P -m tools.design.dismc_study`.
+"""Six sets of wheel faults under the discrete integral sliding mode, over frames: `python -P -m tools.design.dismc_study`.
 
 Vehicle and start of Zhang, Ye & Sun 2018 at 10 Hz, noise of 1e-5 rad and 1e-5 rad/s a sample, and a disturbance of
-2e-3 (1, -1, 0.5) N m with 1e-3 N m of a 100 s sine on top. Median over the seeds; steady error: the largest of the last minute.
+2e-3 (1, -1, 0.5) N m with 1e-3 N m of a 100 s sine on top. Median over the seeds; steady error: the largest of the last
+minute.
 """
 
 from __future__ import annotations
