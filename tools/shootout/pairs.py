@@ -35,6 +35,7 @@ class Companions:
 NO_OBSERVER: Final = "none"
 COMPANIONS: dict[str, Companions] = {
     "braking_profile": Companions(wheel_health="share_learner"),
+    "dismc": Companions(observer=NO_OBSERVER, wheel_health="share_kalman"),
     "fuzzy_pid": Companions(
         observer=NO_OBSERVER,
         note="gains of a satellite of 14 kg m^2 that starts 2.7 deg off its target; not scaled to this one",
