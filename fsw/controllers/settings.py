@@ -19,17 +19,17 @@ class BrakingProfileConfig:
     """
 
     kind: Literal["braking_profile"]
-    eta: Annotated[float, Gt(0), Le(1)] = 0.93  # share of the braking authority planned on, close to the target [1]
-    k_theta: Positive = 0.95  # slope of the profile at the target [1/s]
+    eta: Annotated[float, Gt(0), Le(1)] = 0.94  # share of the braking authority planned on, close to the target [1]
+    k_theta: Positive = 1.0  # slope of the profile at the target [1/s]
     k_s: Positive = 0.65  # gain from the surface to acceleration [1/s]
     adapt: bool = True  # False: braking_share and eta throughout, whatever the wheels give
     braking_share: Annotated[float, Gt(0), Le(1)] = 0.4  # of each wheel's torque, planned on where adapt is off [1]
     # share planned on far from the target while all wheels are whole: there a fault costs most [1]
-    eta_far: Annotated[float, Gt(0), Le(1)] = 0.13
+    eta_far: Annotated[float, Gt(0), Le(1)] = 0.11
     far_rad: Positive = 0.18  # distance over which eta passes to eta_far
-    reserve: Annotated[float, Ge(0), Le(1)] = 0.13  # weight of "one more wheel fails" in the braking authority [1]
+    reserve: Annotated[float, Ge(0), Le(1)] = 0.05  # weight of "one more wheel fails" in the braking authority [1]
     # part of the way from eta_far to eta that the loss of one whole wheel takes: what has failed will not fail again [1]
-    spent: NonNegative = 0.3
+    spent: NonNegative = 0.24
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
