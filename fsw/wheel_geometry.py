@@ -11,7 +11,7 @@ import math
 from typing import Final
 
 from bus.errors import ConfigError
-from bus.linear import ZERO4, cross, dot, invert_symmetric, times
+from bus.linear import ZERO3, ZERO4, cross, dot, invert_symmetric, times
 from bus.units import Mat3, Vec3, Vec4
 from fsw.records import ALL_WHEELS, Flags4
 
@@ -110,27 +110,32 @@ class WheelGeometry:
         la, lb, lc, ld = self.max_torque_nm
         return max(abs(a) / la, abs(b) / lb, abs(c) / lc, abs(d) / ld)
 
-    def find_authority(self, direction_b: Vec3, limit_nm: Vec4) -> tuple[float, float]:
-        """Return the largest m with D0 u = m t, |u_i| <= limit_i, for these wheels and after the worst loss of one [1].
+    def find_authority(self, direction_b: Vec3, limit_nm: Vec4, given_b_nm: Vec3 = ZERO3) -> tuple[float, float]:
+        """Return the largest m with D0 u + given = m t, |u_i| <= limit_i, now and after the worst loss of one wheel [1].
 
         The torques that can be had are a polytope whose facets each lie between two wheels' axes: with n the normal of
-        such a pair, m |n.t| <= sum |n.a_k| limit_k. Losing a wheel takes its term out of the sum. Infinite for t = 0.
+        such a pair, turned so that n.t > 0, m n.t <= sum |n.a_k| limit_k + n.given. Losing a wheel takes its term out of
+        the sum. Infinite for t = 0; 0 where what is given leaves nothing in the direction t.
+
+        given_b_nm : torque on the body that is there whatever the wheels are told, body axes [N m]
         """
         now = worst = math.inf
         la, lb, lc, ld = limit_nm
         for normal, (wa, wb, wc, wd) in self._facets:
-            along = abs(dot(normal, direction_b))
+            along, help_nm = dot(normal, direction_b), dot(normal, given_b_nm)
             if along == 0.0:
                 continue
+            if along < 0.0:
+                along, help_nm = -along, -help_nm
             a, b, c, d = wa * la, wb * lb, wc * lc, wd * ld
-            total = a + b + c + d
+            total = a + b + c + d + help_nm
             m = (total + NOTHING_NM) / along
             if m < now:
                 now = m
             m = (total - max(a, b, c, d) + NOTHING_NM) / along
             if m < worst:
                 worst = m
-        return now, worst
+        return (now if now > 0.0 else 0.0, worst if worst > 0.0 else 0.0)
 
     def count_axes(self, available: Flags4) -> int:
         """Return how many independent directions of torque these wheels have, 0 .. 3."""

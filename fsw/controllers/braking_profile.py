@@ -1,7 +1,7 @@
 """Attitude law that follows a braking profile, as fast as the wheels that are left allow.
 
 The body turns towards the target at the rate from which it can still be stopped there. What "can" means comes from the
-wheel health stage, which learns it in flight; no fault is known beforehand. Derivation and study: docs/ilo-smc.md.
+wheel health stage, which learns it in flight; no fault is known beforehand. Derivation and study: docs/braking-profile.md.
 """
 
 from __future__ import annotations
@@ -9,11 +9,11 @@ from __future__ import annotations
 import math
 from typing import Final, NamedTuple
 
-from bus.linear import ZERO3, times
+from bus.linear import ZERO3, ZERO4, times
 from bus.units import Vec3, Vec4
 from fsw.controllers.settings import BrakingProfileConfig
 from fsw.families import Controller
-from fsw.records import PointingError, WheelHealth
+from fsw.records import ALL_WHEELS, NO_WHEEL, PointingError, WheelHealth
 from fsw.vehicle import Vehicle
 
 BRAKING_MIN_RAD_S2: Final = 2e-4  # slowest braking planned on: a wheel set judged dead would otherwise never move again
@@ -34,13 +34,23 @@ class BrakingProfile(Controller):
     e and theta are eigenaxis and angle of the error, f is the profile:
 
         f   = k_theta theta                                         for theta <= theta_1 = a eta / k_theta^2
-        f^2 = 2 a (eta theta_1 / 2 + eta_far x + (eta - eta_far) far (1 - exp(-x/far))),  x = theta - theta_1,  beyond
+        f^2 = 2 a (eta theta_1 / 2 + far x + (eta - far) L (1 - exp(-x/L))),  x = theta - theta_1,  beyond
 
-    so that the deceleration along it is a (eta_far + (eta - eta_far) exp(-x/far)): gentle far out, where a wheel that
-    fails while the body is fast costs a long overshoot, firm close to the target.
+    so that the deceleration along it is a (far + (eta - far) exp(-x/L)), L = far_rad: gentle far out, where a wheel that
+    fails while the body is fast costs a long overshoot, firm close to the target. far passes from eta_far to eta as
+    wheels are lost, far = eta_far + (eta - eta_far) min(1, spent sum(1 - e_i)): fewer faults are still to come.
 
-    a = (1 - reserve) a_now + reserve a_worst: the braking accelerations along e of the wheels as they are thought to
-    be, and after one more loss. With `adapt` off, a is that of braking_share of each wheel and eta_far is not used.
+    a = (1 - reserve) a_now + reserve a_worst: the braking accelerations along e of the wheels as they are thought to be
+    (shares, and torques that they give whatever they are told: help or hindrance as they lie to the braking direction),
+    and after one more loss. With `adapt` off, a is that of braking_share of each wheel and eta_far is not used.
+
+    Bounds, for turns about an axis where the wheels have the acceleration A >= a either way and w x J w has no part:
+
+        from rest at theta_0 to theta_b in at most  f(theta_0)/A + integral of d theta / f from theta_b - A/k_s^2 to theta_0
+        past the target, after A has fallen to A' at theta on the profile, by at most  max(0, f(theta)^2/(2 A') - theta)
+
+    The first: w reaches the layer |s| < A/k_s in f(theta_0)/A; from there on s falls by exp(-k_s t), which keeps theta
+    within A/k_s^2 of the profile's own course, as f rises with theta. The second: braking as hard as A' allows.
     """
 
     __slots__ = ("_a", "_config", "_fixed_nm", "_gyroscopic", "_inertia", "_profile", "_s", "_wheels")
@@ -93,12 +103,15 @@ class BrakingProfile(Controller):
         """Return the profile's rate [rad/s] and its slope over the angle [1/s]."""
         config = self._config
         per_accel = times(self._inertia, axis)
-        eta = eta_far = config.eta
+        eta = far = config.eta
         if config.adapt:
             la, lb, lc, ld = self._wheels.max_torque_nm
-            ea, eb, ec, ed = health.effectiveness
-            now, worst = self._wheels.find_authority(per_accel, (la * ea, lb * eb, lc * ec, ld * ed))
-            eta_far = config.eta_far
+            shares = _find_shares(health)
+            ea, eb, ec, ed = shares
+            given = ZERO3 if health.bias_nm == ZERO4 else self._wheels.combine(health.bias_nm)
+            now, worst = self._wheels.find_authority(per_accel, (la * ea, lb * eb, lc * ec, ld * ed), given)
+            spent = config.spent * (4.0 - ea - eb - ec - ed)
+            far = config.eta_far + (eta - config.eta_far) * (spent if spent < 1.0 else 1.0)
             a = now + config.reserve * (worst - now) if now < math.inf else BRAKING_MIN_RAD_S2
         else:
             a = self._wheels.find_authority(per_accel, self._fixed_nm)[0]
@@ -111,10 +124,10 @@ class BrakingProfile(Controller):
             self._profile = rate = k * theta
             return rate, k
         x = theta - linear_to
-        near = (eta - eta_far) * math.exp(-x / config.far_rad)
-        energy = 0.5 * eta * linear_to + eta_far * x + (eta - eta_far - near) * config.far_rad
+        near = (eta - far) * math.exp(-x / config.far_rad)
+        energy = 0.5 * eta * linear_to + far * x + (eta - far - near) * config.far_rad
         self._profile = rate = math.sqrt(2.0 * a * energy)
-        return rate, a * (eta_far + near) / rate
+        return rate, a * (far + near) / rate
 
     def _turn_into_torque(self, accel_b_rad_s2: Vec3, omega_b_rad_s: Vec3) -> Vec3:
         """Return the body torque for an acceleration [N m], the gyroscopic torque counted where it stands alone."""
@@ -126,3 +139,16 @@ class BrakingProfile(Controller):
             ty += wz * hx - wx * hz
             tz += wx * hy - wy * hx
         return (tx, ty, tz)
+
+
+def _find_shares(health: WheelHealth) -> Vec4:
+    """Share of its torque that each wheel can be planned on with; none of one that is dead or switched off [1]."""
+    if health.available == ALL_WHEELS and health.dead == NO_WHEEL:
+        return health.effectiveness
+    (a, b, c, d), (p, q, r, s), (t, u, v, w) = health.effectiveness, health.available, health.dead
+    return (
+        a if p and not t else 0.0,
+        b if q and not u else 0.0,
+        c if r and not v else 0.0,
+        d if s and not w else 0.0,
+    )

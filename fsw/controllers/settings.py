@@ -15,18 +15,21 @@ TorqueLimit = Annotated[float, Unit("N m"), Gt(0)]
 class BrakingProfileConfig:
     """Sliding surface along a braking profile, s = w - w_d(theta); its margin adapts to what the wheels give.
 
-    Made for `wheel_health: share_learner`, which tells it what they give.
+    Made for a wheel health that tells it what they give, as `wheel_health: share_learner` does.
     """
 
     kind: Literal["braking_profile"]
-    eta: Annotated[float, Gt(0), Le(1)] = 0.9  # share of the braking authority planned on, close to the target [1]
-    k_theta: Positive = 0.8  # slope of the profile at the target [1/s]
-    k_s: Positive = 0.6  # gain from the surface to acceleration [1/s]
+    eta: Annotated[float, Gt(0), Le(1)] = 0.94  # share of the braking authority planned on, close to the target [1]
+    k_theta: Positive = 1.0  # slope of the profile at the target [1/s]
+    k_s: Positive = 0.65  # gain from the surface to acceleration [1/s]
     adapt: bool = True  # False: braking_share and eta throughout, whatever the wheels give
     braking_share: Annotated[float, Gt(0), Le(1)] = 0.4  # of each wheel's torque, planned on where adapt is off [1]
-    eta_far: Annotated[float, Gt(0), Le(1)] = 0.3  # share planned on far from the target, where a fault costs most [1]
-    far_rad: Positive = 0.25  # distance over which eta passes to eta_far
-    reserve: Annotated[float, Ge(0), Le(1)] = 0.2  # weight of "one more wheel fails" in the braking authority [1]
+    # share planned on far from the target while all wheels are whole: there a fault costs most [1]
+    eta_far: Annotated[float, Gt(0), Le(1)] = 0.11
+    far_rad: Positive = 0.18  # distance over which eta passes to eta_far
+    reserve: Annotated[float, Ge(0), Le(1)] = 0.05  # weight of "one more wheel fails" in the braking authority [1]
+    # part of the way from eta_far to eta that the loss of one whole wheel takes: what has failed will not fail again [1]
+    spent: NonNegative = 0.24
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -20,7 +20,7 @@ class ShareLearnerConfig:
     """Shares of their commands that the wheels deliver, learnt by a normalised gradient from the observer's fault torque."""
 
     kind: Literal["share_learner"]
-    learn_s: Annotated[Seconds, Gt(0)] = 0.28  # time constant of learning, at full torque
+    learn_s: Annotated[Seconds, Gt(0)] = 0.2  # time constant of learning, at full torque
     observer_lag_s: Annotated[Seconds, Gt(0)] = 0.3  # time constant of the observer that reports the fault torque
 
 

@@ -1,8 +1,9 @@
 """Slew cases with their clairvoyant optimum, and how a law flies through one of them on the bench.
 
 A case is a start, four misaligned wheels and a fault schedule for the satellite of Zhang, Ye & Sun 2018; `optimum_s`
-is the shortest time to rest at the target when every fault is known in advance (see braking_optimum.py). The file holds
-the paper's scenario, four cases of another origin, and 128 drawn by `draw_case`, numbers 0 to 127.
+is the shortest time to rest at the target when every fault is known in advance (see braking_optimum.py). One file holds
+the paper's scenario, four cases of another origin, and 128 drawn by `draw_case`, numbers 0 to 127; another sixty more,
+drawn with FRESH_SEED.
 """
 
 from __future__ import annotations
@@ -31,6 +32,8 @@ from tools.config.scenario import Resolved, Scenario
 from tools.run.bench import Bench
 
 CASES_FILE = Path(__file__).with_name("braking_cases.json")
+FRESH_FILE = Path(__file__).with_name("braking_cases_fresh.json")
+FRESH_SEED = 20264
 INERTIA_KGM2: Mat3 = ((45.0, 3.0, 2.0), (3.0, 38.0, -1.5), (2.0, -1.5, 50.0))
 WHEEL_TORQUE_NM, ROTOR_KGM2 = 0.1, 0.01
 BOUNDS_DEG = (5.0, 1.0, 0.1)

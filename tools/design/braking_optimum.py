@@ -1,7 +1,7 @@
-"""Shortest time to rest at the target when every fault is known in advance: the `optimum_s` of braking_cases.json.
+"""Shortest time to rest at the target when every fault is known in advance: the `optimum_s` of the case files.
 
     pip install casadi
-    python -m tools.design.braking_optimum                  every case of the file against its stored value
+    python -m tools.design.braking_optimum                  every case of both files against its stored value
     python -m tools.design.braking_optimum random-03
     python -m tools.design.braking_optimum healthy          the published start, wheels aligned and healthy
 
@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from tools.design.braking_cases import INERTIA_KGM2, Case, find_axes, make_healthy, read_cases
+from tools.design.braking_cases import FRESH_FILE, INERTIA_KGM2, Case, find_axes, make_healthy, read_cases
 
 INTERVALS = 200
 EDGE_S = 0.15
@@ -105,7 +105,7 @@ def main(names: list[str]) -> int:
     except ImportError:
         print("this script needs CasADi: pip install casadi", file=sys.stderr)
         return 2
-    cases = read_cases()
+    cases = [*read_cases(), *read_cases(FRESH_FILE)]
     for case in [*cases, make_healthy(cases[0])]:
         if not names or case.id in names:
             print(f"{case.id:12s} found {find_optimum(case, ca):7.3f} s  stored {case.optimum_s:7.3f} s", flush=True)
