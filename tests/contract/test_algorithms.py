@@ -40,7 +40,7 @@ VARIANTS: dict[str, list[dict[str, Any]]] = {
         {"tables": "even"},
         {"inference": "prod"},
     ],
-    "DirectAllocationConfig": [{"use_health": False}, {"share_min": 0.2}, {"dead_below": 1e-6}],
+    "DirectAllocationConfig": [{"use_health": False}, {"share_min": 0.0, "dead_below": 1e-6}, {"share_min": 0.0}],
     "pseudo_inverse": [{"saturation": "direction"}],
     "ilo": [{"k1": 1.0, "k2": 20.0, "k3": 0.0}],
     "torque_monitor": [{"reaction": "report"}],
