@@ -37,10 +37,10 @@ class NullSpaceInternals(NamedTuple):
 class NullSpace:
     """Brings the null momentum to a reference, keeps wheels from zero speed, dithers; each only where its setting says so.
 
-    Momentum: gamma = k (eta - reference), so that eta decays as exp(-k t) (Markley, Reynolds, Liu & Lebsock 2010 have the
-    like). Zero speed: a wheel with momentum p + n eta is slower than the least speed for eta in an interval about -p/n; the
-    null momentum is kept in the gap between these intervals in which it is, or brought into the nearest. Dither: a
-    square wave. All of it is cut to what the wheels have left beside the torques allocated.
+    Momentum: gamma = k (eta - reference), so that eta decays as exp(-k t). Zero speed: a wheel with momentum p + n eta is
+    slower than the least speed for eta in an interval about -p/n; the null momentum is kept in the gap between these
+    intervals in which it is, or brought into the nearest. Dither: a square wave. All of it is cut to what the wheels have
+    left beside the torques allocated.
     """
 
     def __init__(self, config: NullSpaceConfig, vehicle: Vehicle) -> None:

@@ -31,12 +31,13 @@ class TransposeConfig:
 class DirectAllocationConfig:
     """As much torque as the wheels have in the direction asked for, with the least load on the most loaded wheel.
 
-    Where no other wheel can stand in for one that gives next to nothing, the torque along its axis is better given up than
-    the whole torque cut down to what is left of that axis: hence dead_below. With a share_min above it no wheel is dead on
-    its share alone; it stays in use, so that a recovery shows without a probe.
+    share_min keeps a wheel that was judged away in use, so that a recovery shows: what is never asked for anything is never
+    seen to come back. Set it to 0 where wheel health tells dead wheels and probes them. Then dead_below counts: where no
+    other wheel can stand in for one that gives next to nothing, the torque along its axis is better given up than the
+    whole torque cut down to what is left of that axis.
     """
 
     kind: Literal["direct"]
     use_health: bool = True  # reckon with shares and biases as wheel health thinks them; False: with whole wheels
-    dead_below: Annotated[float, Gt(0), Le(1)] = 0.02  # a wheel that gives a smaller share counts as dead [1]
-    share_min: Annotated[float, Ge(0), Le(1)] = 0.0  # a wheel judged weaker counts as if it gave this share [1]
+    share_min: Annotated[float, Ge(0), Le(1)] = 0.15  # a wheel judged weaker counts as if it gave this share [1]
+    dead_below: Annotated[float, Gt(0), Le(1)] = 0.02  # one whose share is then still below this counts as dead [1]

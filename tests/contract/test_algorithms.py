@@ -51,7 +51,7 @@ VARIANTS: dict[str, list[dict[str, Any]]] = {
         {"tables": "even"},
         {"inference": "prod"},
     ],
-    "DirectAllocationConfig": [{"use_health": False}, {"share_min": 0.2}, {"dead_below": 1e-6}],
+    "DirectAllocationConfig": [{"use_health": False}, {"share_min": 0.0, "dead_below": 1e-6}, {"share_min": 0.0}],
     "pseudo_inverse": [{"saturation": "direction"}],
     "ilo": [{"k1": 1.0, "k2": 20.0, "k3": 0.0}],
     "share_kalman": [{"dither": "off"}, {"command_latency_s": 0.01}, {"average": 1, "probe_nm": 0.0}],

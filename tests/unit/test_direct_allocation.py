@@ -21,6 +21,7 @@ from fsw.allocators.settings import DirectAllocationConfig, PseudoInverseConfig
 from fsw.records import HEALTHY, NO_WHEEL, WheelHealth
 from fsw.settings import ModelConfig, WheelModelConfig
 from fsw.vehicle import Vehicle
+from tools.run.bench import Bench
 
 RECORD = np.load(Path(__file__).resolve().parents[1] / "data" / "control" / "alloc_cases.npz")
 INERTIA = ((45.0, 3.0, 2.0), (3.0, 38.0, -1.5), (2.0, -1.5, 50.0))
@@ -345,10 +346,10 @@ def test_a_share_next_to_nothing_counts_as_dead() -> None:
     all but a hundredth of the whole torque."""
     health = WheelHealth((0.01, 1.0, 1.0, 1.0), (True, True, True, False))
     tau = (0.05, 0.05, 0.05)
-    found = (direct := make()).allocate(tau, health)
+    found = (direct := make(share_min=0.0)).allocate(tau, health)
     assert found.tau_rw_nm == pytest.approx((0.0, 0.05, 0.05, 0.0), abs=1e-15)
     assert direct.internals.rank == 2.0
-    reckoned = make(dead_below=1e-3).allocate(tau, health)
+    reckoned = make(share_min=0.0, dead_below=1e-3).allocate(tau, health)
     assert combine(reckoned.tau_rw_nm, reckoned.shares) == pytest.approx((0.001, 0.001, 0.001), abs=1e-15)
     floored = make(share_min=0.2).allocate(tau, health)
     assert floored.shares == (0.2, 1.0, 1.0, 0.0)
@@ -368,7 +369,7 @@ def test_the_set_is_made_anew_only_for_a_change_that_counts() -> None:
     far = (0.8 + 1.1 * SAME_SHARE, 1.0, 1.0, 1.0)
     assert direct.allocate((0.01, 0.0, 0.0), WheelHealth(far)).shares == far
     assert direct.internals.rebuilds == 2.0
-    slight = make(dead_below=1e-5)
+    slight = make(share_min=0.0, dead_below=1e-5)
     slight.allocate((0.01, 0.0, 0.0), WheelHealth((2e-5, 1.0, 1.0, 1.0)))
     assert slight.allocate((0.01, 0.0, 0.0), WheelHealth((0.0, 1.0, 1.0, 1.0))).shares == (0.0, 1.0, 1.0, 1.0)
 
@@ -379,7 +380,7 @@ def test_what_telemetry_shows() -> None:
     assert direct.internals == (MOST_SHOWN, 3.0, 12.0, 0.0)
     direct.allocate((0.0, 0.0, 0.0), HEALTHY)
     assert direct.internals.reach == MOST_SHOWN
-    direct.allocate((1.0, 0.0, 0.0), WheelHealth((1.0, 1.0, 1.0, 0.0)))
+    direct.allocate((1.0, 0.0, 0.0), WheelHealth(dead=(False, False, False, True)))
     assert direct.internals == (pytest.approx(0.1), 3.0, 6.0, 1.0)
     direct.reset()
     assert direct.internals == (MOST_SHOWN, 3.0, 12.0, 0.0)
@@ -398,3 +399,17 @@ def test_other_axes_and_limits() -> None:
         found = direct.allocate(tau, WheelHealth(dead=NO_WHEEL))
         least = solve_load(np.array(PYRAMID).T, tau, limits)
         assert 1.0 - found.margin == pytest.approx(min(1.0, least), rel=1e-9)
+
+
+@pytest.mark.slow
+def test_a_wheel_judged_away_is_seen_to_come_back() -> None:
+    """Braking-profile: z sticks from 20 to 40 s, the skew wheel dies at 30 s. With share_min the flight settles; with none z
+    stays dead once its share was learned to be next to nothing, two axes are all that is left, and the satellite is lost."""
+    errors = {}
+    for share_min in (0.15, 0.0):
+        change = f"fsw.allocator={{kind: direct, share_min: {share_min}}}"
+        with Bench.open("braking-profile", ["expect=[]", "duration_s=150", change], log="memory") as bench:
+            bench.run_to_end()
+            errors[share_min] = bench.log.signals("/truth/attitude")["error_deg"]
+    assert errors[0.15][700:].max() < 0.1
+    assert errors[0.0][-1] > 30.0

@@ -57,7 +57,7 @@ def fly(name: str, steps: int) -> tuple[Any, Any, Any]:
     """Attitude, wheel torque and pointing error [deg] of a case of the reference; the health factors are the truth."""
     reference = np.load(REFERENCE)
     law = DiscreteIntegralSlidingMode(DismcConfig(kind="dismc"), VEHICLE, T)
-    allocator = Direct(DirectAllocationConfig(kind="direct"), VEHICLE, T)
+    allocator = Direct(DirectAllocationConfig(kind="direct", share_min=0.0), VEHICLE, T)
     share, stuck = (
         reference[f"{name}_share"].astype(float).round(6),
         reference[f"{name}_stuck_nm"].astype(float).round(6),
