@@ -65,6 +65,10 @@ def _age(power: WheelPower, tick: int, tick_s: float) -> float:
     return -1.0 if min(power.temp_tick, power.power_tick) < 0 else power.count_age_ticks(tick) * tick_s
 
 
+def _points(mode: Mode) -> bool:
+    return mode is POINT or mode is DEGRADED
+
+
 class Flight:
     """The flight software between its bus and its telemetry. Holds no socket and reads no clock."""
 
@@ -187,15 +191,16 @@ class Flight:
         dt_s : since control last ran: the control period, or more where ticks were lost
         """
         if mode is not self._mode_of_control:
+            if not (_points(mode) and _points(self._mode_of_control)):  # what is known of the body stays known
+                self.observer.reset()
+                self.controller.reset()
             self._mode_of_control = mode
-            self.observer.reset()
-            self.controller.reset()
         rate, wheels = estimate.omega_bi_b_rad_s, sensors.wheels
         momentum = self.vehicle.wheels.combine(sensors.wheel_momenta()) if self.vehicle.wheel_momentum else ZERO3
         tau_rw_nm, mean_rate, follow = self.wheel_commands.meant_nm, self._rate_mean.take(), ZERO3
         if self.drive.compensates:
             self.wheel_health.note_sent(self.wheel_commands.tau_rw_nm)
-        if mode is POINT or mode is DEGRADED:
+        if _points(mode):
             tau_fault = self.observer.step(dt_s, mean_rate, self.tau_cmd_b_nm, momentum)
             health = self._judge(self.wheel_health.step(dt_s, wheels, tau_rw_nm, tau_fault))
             error = self.guidance.find_error(estimate.q_ib, rate)
@@ -211,7 +216,7 @@ class Flight:
         self.tau_fault_hat_b_nm, self.health, self.error = tau_fault, health, error
         self.error_deg = 2.0 * math.acos(min(1.0, abs(error.q_tb[0]))) * DEG_PER_RAD
         self._drive(dt_s, mode, torque, health)
-        if mode is POINT or mode is DEGRADED:
+        if _points(mode):
             self.controller.note_sent(subtract(self._expect(), follow) if follow != ZERO3 else self._expect())
 
     def _judge(self, health: WheelHealth) -> WheelHealth:

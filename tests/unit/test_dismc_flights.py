@@ -9,13 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+from bus.linear import ZERO3
 from fsw.allocators.direct import Direct
 from fsw.allocators.settings import DirectAllocationConfig
 from fsw.controllers.dismc import DiscreteIntegralSlidingMode
 from fsw.controllers.settings import DismcConfig
+from fsw.modes import Mode
 from fsw.records import PointingError, WheelHealth
 from fsw.settings import ModelConfig
 from fsw.vehicle import Vehicle
+from tools.run.bench import Bench
 
 REFERENCE = Path(__file__).parents[1] / "data/control/dismc_closed_loop.npz"
 INERTIA = ((45.0, 3.0, 2.0), (3.0, 38.0, -1.5), (2.0, -1.5, 50.0))
@@ -102,3 +105,17 @@ def test_settles_when_the_reference_does(name: str, degree: float, tenth: float)
         assert last[0] == pytest.approx(last[1], abs=0.2)
         assert last[0] == pytest.approx(stated, abs=0.25)
     assert np.abs(found - expected[:3000]).max() < 1e-4
+
+
+def test_a_lost_axis_is_no_new_beginning() -> None:
+    """Two wheels dead at once: the mode becomes degraded, and what the law has learnt of the disturbance stays."""
+    faults = "faults=[{unit: wheel.1, kind: dead, at_s: 10}, {unit: wheel.2, kind: dead, at_s: 10}]"
+    with Bench.open("dismc", ["expect=[]", faults]) as bench:
+        before = ZERO3
+        while bench.flight.modes.mode is not Mode.DEGRADED:
+            assert bench.tick < 150
+            before = bench.flight.controller.internals.disturbance_b_nm
+            bench.step()
+        after = bench.flight.controller.internals.disturbance_b_nm
+    assert np.linalg.norm(before) > 5e-3
+    assert np.linalg.norm(np.subtract(after, before)) < 0.5 * np.linalg.norm(before)
