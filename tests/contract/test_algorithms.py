@@ -32,7 +32,7 @@ ZERO4: Vec4 = (0.0, 0.0, 0.0, 0.0)
 FAMILIES = (estimation, gyro_fdi, observers, wheel_health, controllers, allocators)
 VARIANTS: dict[str, list[dict[str, Any]]] = {  # beside the default settings of each kind
     "smc": [{"beta_law": "lyapunov"}, {"beta_law": "fixed"}],
-    "braking_profile": [{"adapt": False}],
+    "braking_profile": [{"adapt": False}, {"spent": 2.0, "reserve": 1.0}],
     "fuzzy_pid": [
         {"base": "engineering", "tables": "even"},
         {"base": "engineering"},
