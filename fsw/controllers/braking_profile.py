@@ -46,11 +46,13 @@ class BrakingProfile(Controller):
 
     Bounds, for turns about an axis where the wheels have the acceleration A >= a either way and w x J w has no part:
 
-        from rest at theta_0 to theta_b in at most  f(theta_0)/A + integral of d theta / f from theta_b - A/k_s^2 to theta_0
-        past the target, after A has fallen to A' at theta on the profile, by at most  max(0, f(theta)^2/(2 A') - theta)
+        from rest at theta_0 to theta_b: at most f(theta_0)/A + the integral of d theta / f, theta_b - A/k_s^2 .. theta_0
+        after A has fallen to A' at theta on the profile: past the target by at most the largest
+                                                          f(x)^2/(2 A') - x, 0 <= x <= theta, whether health sees it or not
 
     The first: w reaches the layer |s| < A/k_s in f(theta_0)/A; from there on s falls by exp(-k_s t), which keeps theta
-    within A/k_s^2 of the profile's own course, as f rises with theta. The second: braking as hard as A' allows.
+    within A/k_s^2 of the profile's own course, as f rises with theta. The second: the body stays on the profile up to the
+    x where that asks for more than A', and has A' from there on.
     """
 
     __slots__ = ("_a", "_config", "_fixed_nm", "_gyroscopic", "_inertia", "_profile", "_s", "_wheels")

@@ -33,7 +33,8 @@ FAMILIES = (estimation, gyro_fdi, observers, wheel_health, controllers, allocato
 # Beside the default settings of each kind; where two families have a kind of one name, by the name of its settings
 VARIANTS: dict[str, list[dict[str, Any]]] = {
     "smc": [{"beta_law": "lyapunov"}, {"beta_law": "fixed"}],
-    "braking_profile": [{"adapt": False}],
+    "braking_profile": [{"adapt": False}, {"spent": 2.0, "reserve": 1.0}],
+    "dismc": [{"kappa": 1.0, "lam": 1.0, "stability": "warn"}, {"latency": 1, "c_1_s": 0.0}, {"anti_windup": False}],
     "finite_time": [
         {"form": "B"},
         {"form": "C", "gyroscopic": True, "latency": 5},

@@ -294,11 +294,11 @@ def test_proof_holds_for_the_corrected_denominator_at_any_gain() -> None:
 
 
 def test_braking_profile_settles_the_published_scenario() -> None:
-    """1 degree by 52 s without knowledge of the faults (44.8 s is the optimum with it), and no creep to 0.1 degree."""
+    """1 degree by 46 s, 0.1 degree by 52 s without knowledge of the faults; 44.8 s is the optimum to rest with it."""
     law = BrakingProfile(BrakingProfileConfig(kind="braking_profile"), VEHICLE, PERIOD_S)
     run = fly(make_ilo(), law, 75.0, wheel_health=make_learner())
-    assert run.settle_s(1.0) < 52.0
-    assert run.settle_s(0.1) < 70.0
+    assert run.settle_s(1.0) <= 46.0
+    assert run.settle_s(0.1) <= 52.0
 
 
 @pytest.mark.slow

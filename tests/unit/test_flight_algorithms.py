@@ -248,7 +248,8 @@ def test_profile_shrinks_when_wheels_are_lost() -> None:
     error = PointingError((math.cos(0.5), math.sin(0.5) * 0.6, math.sin(0.5) * 0.8, 0.0), ZERO)
     weak = WheelHealth((0.5, 0.5, 0.5, 0.5))
     for adapt, part in ((True, math.sqrt(0.5)), (False, 1.0)):
-        law = BrakingProfile(BrakingProfileConfig(kind="braking_profile", adapt=adapt, k_theta=20.0), VEHICLE, 0.1)
+        config = BrakingProfileConfig(kind="braking_profile", adapt=adapt, k_theta=20.0, spent=0.0)
+        law = BrakingProfile(config, VEHICLE, 0.1)
         rates = []
         for health in (HEALTHY, weak, HEALTHY):
             law.step(0.1, error, ZERO, health)

@@ -97,6 +97,25 @@ def test_authority_is_the_linear_programs(number: int) -> None:
     assert worst == pytest.approx(min(solve_authority(axes, t, loss) for loss in losses), rel=1e-6, abs=1e-9)  # type: ignore[arg-type]
 
 
+def test_authority_with_a_torque_that_is_given_is_the_linear_programs() -> None:
+    """A torque that is there whatever the wheels are told helps one way, hinders the other."""
+    for _ in range(20):
+        axes, t, given = make_axes(), np.array(draw(3)), 0.05 * np.array(draw(3))
+        wheels = make_wheels(axes)
+        for direction in (t, -t):
+            now, _ = wheels.find_authority(tuple(direction.tolist()), LIMITS, tuple(given.tolist()))
+            result = linprog(
+                [-1.0, 0.0, 0.0, 0.0, 0.0],
+                A_eq=np.column_stack([direction, -axes]), b_eq=given,
+                bounds=[(0.0, None), *((-x, x) for x in LIMITS)], method="highs",
+            )  # fmt: skip
+            if result.success:  # else what is given cannot be held, even with no torque along t
+                assert now == pytest.approx(float(result.x[0]), rel=1e-6, abs=1e-9)
+    assert make_wheels(np.column_stack([np.eye(3), [1.0, 0.0, 0.0]])).find_authority(
+        (1.0, 0.0, 0.0), LIMITS, (-9.0, 0.0, 0.0)
+    ) == (0.0, 0.0)
+
+
 def test_authority_of_the_published_wheels_and_of_two_parallel_ones() -> None:
     """Axes x, y, z and (1, 1, 1), and a pair of parallel wheels, which has no plane of its own: linear programming again."""
     skew = 1.0 / math.sqrt(3.0)
