@@ -1,4 +1,4 @@
-"""From which start angles and rates an attitude law still settles (see docs/ilo-smc.md).
+"""From which start angles and rates an attitude law still settles (see docs/braking-profile.md).
 
     python -m tools.design.braking_reach
     python -m tools.design.braking_reach --law smc --faults

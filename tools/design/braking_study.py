@@ -39,6 +39,7 @@ LAWS: dict[str, Law] = {
         controller=replace(ADAPTIVE, eta=0.9, k_theta=0.8, k_s=0.6, eta_far=0.3, far_rad=0.25, reserve=0.2, spent=0.0),
         wheel_health=ShareLearnerConfig(kind="share_learner", learn_s=0.28),
     ),
+    "spending": Law(controller=replace(ADAPTIVE, spent=0.45), wheel_health=ShareLearnerConfig(kind="share_learner")),
     "bold": Law(  # plans on eta of what the wheels give, near and far, and on no further loss
         controller=replace(ADAPTIVE, eta_far=ADAPTIVE.eta, reserve=0.0),
         wheel_health=ShareLearnerConfig(kind="share_learner"),
