@@ -88,7 +88,7 @@ class Flight:
         self.wheel_health = wheel_health.REGISTRY.make(config.wheel_health, vehicle, control_s)
         self.controller = controllers.REGISTRY.make(config.controller, vehicle, control_s)
         self.allocator = allocators.REGISTRY.make(config.allocator, vehicle, control_s)
-        self.null_space = NullSpace(config.null_space, vehicle)
+        self.null_space = NullSpace(config.null_space, vehicle, control_s)
         self.drive = Drive(config.drive, vehicle, config.wheel_health.kind)
         self.guidance = Guidance(config.target_q)
         self.control_slot, self.diagnostics_slot = flight_schedule(config.executive.control_divider).open_slots()

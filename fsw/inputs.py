@@ -132,6 +132,8 @@ class Inputs:
             sensors.gyro_valid = ALL_AXES
         else:
             self._group.part()
+            a, b, c, d = sensors.wheels
+            a.new = b.new = c.new = d.new = False
             self._take(batch)
             if self._is_in_step(tick):
                 self._group.join()
@@ -173,6 +175,7 @@ class Inputs:
         a.current_a, b.current_a, c.current_a, d.current_a = i1 * 1e-3, i2 * 1e-3, i3 * 1e-3, i4 * 1e-3
         a.status = b.status = c.status = d.status = STATUS_OK
         a.valid = b.valid = c.valid = d.valid = True
+        a.new = b.new = c.new = d.new = True
         if between:
             self._take(between)
         return True
@@ -262,7 +265,7 @@ class Inputs:
             reading.h_nms = speed_rad_s * self._rotor_inertia_kgm2[wheel]
             reading.current_a = values[3] * 1e-3
             reading.status = int(values[1])
-            reading.valid = True
+            reading.valid = reading.new = True
             self._wheel_tick[wheel] = self._tick - age_ticks
 
         return on_wheel

@@ -43,8 +43,11 @@ class NullSpace:
     left beside the torques allocated.
     """
 
-    def __init__(self, config: NullSpaceConfig, vehicle: Vehicle) -> None:
-        """Raises ConfigError where the wheels have no null space, or the settings go beyond what they can do."""
+    def __init__(self, config: NullSpaceConfig, vehicle: Vehicle, period_s: float) -> None:
+        """period_s: control period [s].
+
+        Raises ConfigError where the wheels have no null space, or the settings go beyond what they can do.
+        """
         self.on = config.momentum_gain_1_s > 0.0 or config.avoid_speed_rad_s > 0.0 or config.dither_nm > 0.0
         self._config = config
         self._wheels = vehicle.wheels
@@ -52,7 +55,7 @@ class NullSpace:
         self._n0 = _normalise(vehicle.wheels.find_null(vehicle.fitted)) if self.on else ZERO4
         self._swing_nm = 0.0
         if self.on:
-            _check(config, vehicle, self._n0)
+            _check(config, vehicle, self._n0, period_s)
             self._swing_nm = config.dither_nm / max(abs(part) for part in self._n0)
         self._least_nms = [config.avoid_speed_rad_s * inertia for inertia in vehicle.wheel_inertia_kgm2]
         self._most_nms = [
@@ -174,7 +177,7 @@ def _normalise(null: Vec4) -> Vec4:
     return (a / length, b / length, c / length, d / length)
 
 
-def _check(config: NullSpaceConfig, vehicle: Vehicle, null: Vec4) -> None:
+def _check(config: NullSpaceConfig, vehicle: Vehicle, null: Vec4, period_s: float) -> None:
     """Raises ConfigError where what is asked for cannot be done."""
     if null == ZERO4:
         raise ConfigError(
@@ -185,6 +188,18 @@ def _check(config: NullSpaceConfig, vehicle: Vehicle, null: Vec4) -> None:
         raise ConfigError(
             f"null_space.dither_nm = {config.dither_nm:g} N m needs null_space.dither_period_s > 0 s; give a period, or "
             "take dither_nm: 0"
+        )
+    if config.dither_nm > 0.0 and config.dither_period_s < 2.0 * (1.0 - ROUNDING) * period_s:
+        raise ConfigError(
+            f"null_space.dither_period_s = {config.dither_period_s:g} s is less than two control periods of {period_s:g} s: "
+            f"the wave would be a constant torque; at least {2.0 * period_s:g} s"
+        )
+    most = [i * w for i, w in zip(vehicle.wheel_inertia_kgm2, vehicle.wheel_max_speed_rad_s, strict=True)]
+    room = min(USED_SPEED * m / abs(part) for m, part in zip(most, null, strict=True) if part != 0.0)
+    if abs(config.momentum_nms) > room:
+        raise ConfigError(
+            f"null_space.momentum_nms = {config.momentum_nms:g} N m s is more than the wheels can hold: {room:.3g} N m s "
+            f"brings one of them to {USED_SPEED:g} of its largest speed; take less"
         )
     limit = min(vehicle.wheels.max_torque_nm)
     if config.dither_nm > limit:

@@ -25,16 +25,23 @@ NO_WHEEL: Flags4 = (False, False, False, False)
 class WheelReading(Record):
     """What one wheel reports. A value that has not come for a while is held and marked not valid."""
 
-    __slots__ = ("current_a", "h_nms", "speed_rad_s", "status", "valid")
+    __slots__ = ("current_a", "h_nms", "new", "speed_rad_s", "status", "valid")
 
     def __init__(
-        self, speed_rad_s: float = 0.0, current_a: float = 0.0, status: int = 0, valid: bool = True, h_nms: float = 0.0
+        self,
+        speed_rad_s: float = 0.0,
+        current_a: float = 0.0,
+        status: int = 0,
+        valid: bool = True,
+        h_nms: float = 0.0,
+        new: bool = True,
     ) -> None:
         self.speed_rad_s = speed_rad_s  # of the rotor, relative to the body, about the nominal axis
         self.current_a = current_a  # of the motor
         self.status = status  # as its frame says: 0 ok, 1 fault, 2 no command, 3 speed limit
         self.valid = valid  # False once its last frame is older than the staleness limit
         self.h_nms = h_nms  # momentum relative to the body: speed times rotor inertia
+        self.new = new  # its frame came on this tick; False: the values are those of an earlier one, held
 
 
 FourReadings = tuple[WheelReading, WheelReading, WheelReading, WheelReading]

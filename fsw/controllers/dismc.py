@@ -18,6 +18,7 @@ from fsw.families import Controller
 from fsw.records import PointingError, WheelHealth
 from fsw.vehicle import Vehicle
 
+LARGEST_C: Final = 10.0  # of c over 2 zeta f
 JUMP_RAD: Final = 0.1  # an angle that is off its prediction by more, beside what its rate explains, is another target's
 
 
@@ -67,6 +68,11 @@ class DiscreteIntegralSlidingMode(Controller):
         self._stiffness = f * f
         self._damping = 2.0 * damping * f
         self._c = self._damping if config.c_1_s is None else config.c_1_s
+        if self._c > LARGEST_C * self._damping:
+            raise ConfigError(
+                f"controller.c_1_s = {self._c:g} 1/s makes a surface of the angle alone, to which wheels of limited torque do "
+                f"not bring a body; at most {LARGEST_C:g} times 2 damping frequency, {LARGEST_C * self._damping:g} 1/s"
+            )
         self._kappa, self._lam = config.kappa, config.lam
         self._latency = config.latency
         self._anti_windup = config.anti_windup
@@ -156,7 +162,7 @@ def _check_range(config: DismcConfig, period_s: float, c_1_s: float) -> str:
     words = (
         f"controller: with kappa {config.kappa:g}, lam {config.lam:g} and a latency of {config.latency} samples the loop "
         f"{stable} of the torque that wheel health says; torque_ratio asks for {low:g} to {high:g}; "
-        "lower kappa and lam, or the latency"
+        "lower kappa, lam, the latency or the frequency"
     )
     if config.stability == "refuse":
         raise ConfigError(f"{words}; or stability: warn, to fly it all the same")

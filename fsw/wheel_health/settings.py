@@ -48,6 +48,7 @@ class ShareKalmanConfig:
     alarm_bias: Annotated[float, Gt(0), Le(1)] = 0.05  # likewise a bias, in shares of the largest torque
     dead_below: Annotated[float, Ge(0), Lt(1)] = 0.1  # a wheel with a smaller share is dead, 0: none ever is ...
     dead_sigma: Annotated[float, Gt(0)] = 0.1  # ... once the share's 1 sigma is below this
+    dead_after_s: Annotated[Seconds, Gt(0)] = 1.0  # ... or once it has been so small for this long
     alive_above: Annotated[float, Gt(0), Lt(1)] = 0.3  # and until its share is above this
     probe_nm: Annotated[float, Unit("N m"), Ge(0)] = 0.004  # square wave that dead wheels are told; 0: none
     dither: Literal["off", "alarm", "always"] = "alarm"  # square wave in the null space; alarm: while a wheel has one

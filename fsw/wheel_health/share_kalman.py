@@ -71,7 +71,7 @@ class ShareKalman(WheelHealthMonitor):
 
         Raises ConfigError for a measurement without noise, thresholds in the wrong order and a wave beyond a wheel's torque.
         """
-        _check(config, vehicle)
+        _check(config, vehicle, period_s)
         self._config = config
         self._geometry = vehicle.wheels
         self._fitted = vehicle.fitted
@@ -97,6 +97,7 @@ class ShareKalman(WheelHealthMonitor):
         self._dead: Flags4 = NO_WHEEL
         self._seen = ZERO4  # what the wheels give beside what they are told, through the observer's lag
         self._wave_s = 0.0
+        self._low_s = [0.0, 0.0, 0.0, 0.0]  # for how long each share has been below dead_below
 
     @property
     def internals(self) -> ShareKalmanInternals:
@@ -125,8 +126,8 @@ class ShareKalman(WheelHealthMonitor):
             reading = wheels[i]
             heard = reading.valid and reading.status != NO_COMMAND and reading.status != SPEED_LIMIT
             if self._fitted[i]:
-                self._learn(i, dt_s, told[i], reading.h_nms, heard)
-        self._judge()
+                self._learn(i, dt_s, told[i], reading.h_nms, heard, reading.new)
+        self._judge(dt_s)
         p, q, r, s = self._filters
         shares = (self._say_share(p), self._say_share(q), self._say_share(r), self._say_share(s))
         bias_nm = (self._say_bias(0), self._say_bias(1), self._say_bias(2), self._say_bias(3))
@@ -140,26 +141,36 @@ class ShareKalman(WheelHealthMonitor):
             dead=self._dead, probe_rw_nm=self._probe(wave),
         )  # fmt: skip
 
-    def _learn(self, wheel: int, dt_s: float, told_nm: float, h_nms: float, heard: bool) -> None:
-        """Add an interval to the wheel's block, and give the block to its filter once it is full."""
+    def _learn(self, wheel: int, dt_s: float, told_nm: float, h_nms: float, heard: bool, new: bool) -> None:
+        """Add an interval to the wheel's block, and give the block to its filter once it is full.
+
+        A momentum that is held from an earlier tick ends no interval: it would look like a wheel that gave nothing.
+        """
         block = self._blocks[wheel]
         if not heard or not 0.0 < dt_s <= self._longest_s:
             if dt_s != 0.0:
                 block.reset()
             return
         if not block.known:
-            block.begin(h_nms)
+            if new:
+                block.begin(h_nms)
             return
         block.impulse_nms += told_nm * dt_s
         block.span_s += dt_s
+        if not new:
+            return
         block.count += 1
         if block.count >= self._config.average:
             scale = 1.0 / (block.span_s * self._max_nm[wheel])
             self._filters[wheel].update(block.span_s, block.impulse_nms * scale, (block.h_nms - h_nms) * scale)
             block.begin(h_nms)
 
-    def _judge(self) -> None:
-        """Which wheels have an alarm, and which are dead."""
+    def _judge(self, dt_s: float) -> None:
+        """Which wheels have an alarm, and which are dead.
+
+        A share below dead_below is that of a dead wheel once it is sure, or has stood for dead_after_s: a wheel that is told
+        nothing teaches nothing, and would otherwise be neither used nor probed for ever.
+        """
         config = self._config
         alarm: list[bool] = [False, False, False, False]
         dead: list[bool] = [False, False, False, False]
@@ -174,7 +185,9 @@ class ShareKalman(WheelHealthMonitor):
             if self._dead[i]:
                 dead[i] = wheel.share < config.alive_above
             else:
-                dead[i] = wheel.share < config.dead_below and sigma < config.dead_sigma
+                low = wheel.share < config.dead_below
+                self._low_s[i] = self._low_s[i] + dt_s if low else 0.0
+                dead[i] = low and (sigma < config.dead_sigma or self._low_s[i] > config.dead_after_s)
         self._alarm = (alarm[0], alarm[1], alarm[2], alarm[3])
         self._dead = (dead[0], dead[1], dead[2], dead[3])
 
@@ -242,7 +255,13 @@ def _bound(share: float) -> float:
     return LEAST_SHARE if share < LEAST_SHARE else share
 
 
-def _check(config: ShareKalmanConfig, vehicle: Vehicle) -> None:
+def _check(config: ShareKalmanConfig, vehicle: Vehicle, period_s: float) -> None:
+    waves = config.probe_nm > 0.0 or (config.dither != "off" and config.dither_nm > 0.0)
+    if waves and config.wave_period_s < 2.0 * (1.0 - ROUND_OFF) * period_s:
+        raise ConfigError(
+            f"fsw.wheel_health.wave_period_s = {config.wave_period_s:g} s is less than two control periods of "
+            f"{period_s:g} s: the wave would be a constant torque; at least {2.0 * period_s:g} s"
+        )
     if config.speed_quantum_rad_s == 0.0 and config.torque_noise_nm == 0.0:
         raise ConfigError(
             "fsw.wheel_health: speed_quantum_rad_s and torque_noise_nm are both 0, so that a measurement would have no "

@@ -40,16 +40,17 @@ def fly(scenario: str, changes: list[str], until_s: int) -> Flown:
 def test_without_a_probe_a_recovered_wheel_is_locked_out_and_the_satellite_lost(law: str) -> None:
     """Published faults, 160 s. Wheel 3 obeys again from 40 s on. Not probed, it is told nothing and shows nothing: its share
     stays 0, two axes are all that is left, and the body drifts off beyond 40 deg and on. Probed, its share is at least 0.9
-    ten seconds after the recovery, three axes are back, and the target is reached."""
+    ten seconds after the recovery, three axes are back, and the target is reached. The modes know of the lost axis under
+    smc; braking_profile keeps wheel 4 at its limit, where a constant command hides a dead wheel: share 0.14 and a bias."""
     controller = f"fsw.controller={{kind: {law}}}"
     without = fly("zhang2018", [controller, "fsw.wheel_health={kind: share_kalman, probe_nm: 0}"], 160)
     probed = fly("zhang2018", [controller, "fsw.wheel_health={kind: share_kalman}"], 160)
     for flown in (without, probed):
         assert flown.share_z[18] > 0.99  # at 19 s
         assert flown.share_z[38] < 0.01  # at 39 s
-        assert flown.mode[38] == Mode.DEGRADED
+        assert (flown.mode[38] == Mode.DEGRADED) is np.bool_(law == "smc")
     assert (without.share_z[39:] < 0.01).all()
-    assert (without.mode[39:] == Mode.DEGRADED).all()
+    assert (without.mode[39:] == (Mode.DEGRADED if law == "smc" else Mode.POINT)).all()
     assert without.error_deg[-1] > 40.0
     assert (np.diff(without.error_deg[99:]) > 0.0).all()
     assert probed.share_z[49] >= 0.9  # at 50 s

@@ -232,6 +232,8 @@ def test_start_up_checks_the_loop() -> None:
         make(DismcConfig(kind="dismc", kappa=1.0, lam=1.0, latency=2))
     with pytest.raises(ConfigError, match="is too fast for a control period"):
         make(DismcConfig(kind="dismc", frequency_rad_s=18.1))
+    with pytest.raises(ConfigError, match=r"c_1_s = 50 1/s .* at most 10 times 2 damping frequency, 1\.8 1/s"):
+        make(DismcConfig(kind="dismc", c_1_s=50.0))
     with pytest.raises(ConfigError, match="the first must not be above the second"):
         make(DismcConfig(kind="dismc", torque_ratio=(2.0, 0.5)))
     assert "stable for 0.07 to 1.57" in make(DismcConfig(kind="dismc", latency=2, stability="warn")).caution

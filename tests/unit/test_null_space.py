@@ -35,7 +35,7 @@ REST: Vec4 = (0.0, 0.0, 0.0, 0.0)
 
 
 def make(vehicle: Vehicle = VEHICLE, **settings: float) -> NullSpace:
-    return NullSpace(NullSpaceConfig(**settings), vehicle)
+    return NullSpace(NullSpaceConfig(**settings), vehicle, 0.1)
 
 
 def hear(h_nms: Any, valid: tuple[bool, ...] = (True,) * 4) -> Sensors:
@@ -255,6 +255,8 @@ def test_dither_is_a_square_wave_of_the_size_asked_for() -> None:
     [
         ({"dither_nm": 0.01}, "dither_period_s > 0 s"),
         ({"dither_nm": 0.2, "dither_period_s": 2.0}, "more than a wheel has, 0.1 N m"),
+        ({"dither_nm": 0.01, "dither_period_s": 0.15}, "less than two control periods of 0.1 s"),
+        ({"momentum_gain_1_s": 0.1, "momentum_nms": 1000.0}, "more than the wheels can hold"),
         ({"avoid_speed_rad_s": 500.0}, "below 475 rad/s"),
     ],
 )

@@ -402,3 +402,50 @@ def test_settings_that_cannot_work_are_refused(changes: dict[str, float], words:
     with pytest.raises(ConfigError) as trouble:
         make_monitor(make_config(**changes))
     assert words in str(trouble.value)
+
+
+def test_a_wheel_that_is_told_nothing_is_not_written_off_unseen() -> None:
+    """A share that fell to nothing while its sigma was opened, and an allocator that then leaves the wheel out: it is dead
+    after a second, so that it is probed, and a sound wheel is known again two seconds later. Never probed, it would stay."""
+    monitor, wheels = make_monitor(make_config()), Wheels()
+    fly(monitor, wheels, 20)
+    one = monitor._filters[0]
+    one.share, one.p_ee = 0.0, 0.25
+
+    def leave_out(k: int) -> Vec4:
+        return (0.0, *stir(k)[1:])
+
+    found = fly(monitor, wheels, 40, torques=leave_out)
+    dead = [health.dead[0] for health in found]
+    assert not any(dead[:8])
+    assert any(dead[8:13])
+    assert found[-1].effectiveness[0] > 0.95
+    assert not dead[-1]
+
+
+def test_telemetry_that_is_held_is_no_measurement() -> None:
+    """Half of a sound wheel's frames lost, its last momentum held meanwhile: its share stays within 0.01 of one."""
+    monitor, wheels = make_monitor(make_config()), Wheels()
+    rng = np.random.default_rng(3)
+    held, told = 0.0, ZERO4
+    least = 1.0
+    for k in range(600):
+        readings = wheels.read()
+        new = k == 0 or bool(rng.random() < 0.5)
+        held = readings[0].h_nms if new else held
+        first = WheelReading(0.0, 0.0, 0, True, held, new)
+        health = monitor.step(PERIOD_S, (first, *readings[1:]), told, SEEN)
+        least = min(least, health.effectiveness[0])
+        assert health.dead == (False, False, False, False)
+        told = stir(k)
+        wheels.turn(PERIOD_S, told)
+    assert least > 0.99
+    assert monitor.internals.resets == ZERO4
+
+
+def test_a_wave_needs_two_control_periods() -> None:
+    """A shorter one would be a constant torque: refused, unless no wave is asked for."""
+    with pytest.raises(ConfigError, match=r"wave_period_s = 0\.15 s is less than two control periods of 0\.1 s"):
+        make_monitor(make_config(wave_period_s=0.15))
+    make_monitor(make_config(wave_period_s=0.2))
+    make_monitor(make_config(wave_period_s=0.15, dither="off", probe_nm=0.0))

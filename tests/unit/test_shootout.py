@@ -257,3 +257,13 @@ def test_what_is_there_is_not_written_over(tmp_path: Path, capsys: pytest.Captur
     (tmp_path / "table.md").unlink()
     assert main(words) == 0
     assert sorted(path.name for path in tmp_path.iterdir()) == ["shootout.json", "table.md"]
+
+
+@pytest.mark.parametrize(
+    "setting", ["fsw.controller.kind=pid", "fsw.allocator={kind: direct}", "fsw.controller={kind: pid}"]
+)
+def test_a_setting_does_not_change_what_a_row_names(setting: str) -> None:
+    """The kinds are the shootout's own choice: set by hand, the row would name a law that did not fly."""
+    with pytest.raises(UsageError, match=r"the shootout chooses these kinds itself; take --(controllers|allocators)"):
+        contest(setting).check()
+    contest("fsw.controller.k1=3").check()

@@ -80,7 +80,7 @@ def show_times() -> None:
     found = AttainableSet(AXES, SOUND, LOW, HIGH)
     direct = Direct(DirectAllocationConfig(kind="direct"), VEHICLE, 0.1)
     usual = PseudoInverse(PseudoInverseConfig(kind="pseudo_inverse"), VEHICLE, 0.1)
-    null = NullSpace(NullSpaceConfig(momentum_gain_1_s=0.02, avoid_speed_rad_s=10.0), VEHICLE)
+    null = NullSpace(NullSpaceConfig(momentum_gain_1_s=0.02, avoid_speed_rad_s=10.0), VEHICLE, 0.1)
     tau: Vec3 = (0.03, -0.02, 0.05)
     weak = (WheelHealth((0.4, 0.5, 1.0, 1.0)), HEALTHY)
     allocation, sensors = Allocation((0.01, 0.02, 0.03, 0.04)), Sensors(0, 0.0)

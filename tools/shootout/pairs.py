@@ -22,6 +22,8 @@ from tools.config.scenario import Resolved
 
 CHOSEN: Final = ("fsw.controller", "fsw.allocator", "fsw.observer", "fsw.wheel_health")  # keys that a pair sets
 
+CHANGES_PAIR: Final = ("fsw.controller.kind", "fsw.allocator.kind")
+
 
 @dataclass(frozen=True, slots=True)
 class Companions:
@@ -89,6 +91,14 @@ class Contest:
     path: Path
     settings: tuple[str, ...]  # KEY=VALUE, over what a pair sets
     until_s: float | None = None  # instead of the scenario's own duration
+
+    def check(self) -> None:
+        """Raises UsageError where a setting would change what a pair is: its row would name what did not fly."""
+        for setting in self.settings:
+            key, _, value = setting.partition("=")
+            if key.strip() in CHANGES_PAIR or (key.strip() in CHOSEN[:2] and "kind" in value):
+                option = "--controllers" if "controller" in key else "--allocators"
+                raise UsageError(f"--set {setting}: the shootout chooses these kinds itself; take {option}")
 
     def load(self, pair: Pair) -> Resolved:
         """Return the scenario as this pair flies it. Raises UsageError, mostly ConfigError, where it cannot be flown."""

@@ -50,6 +50,7 @@ def run(args: argparse.Namespace) -> int:
     _check(args)
     pairs = choose_pairs(args.controllers, args.allocators)
     contest = Contest(find_scenario(args.scenario), tuple(args.set), args.until)
+    contest.check()
     common = contest.load_common()
     files = _claim_files(args)
 
