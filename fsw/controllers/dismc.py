@@ -70,7 +70,7 @@ class DiscreteIntegralSlidingMode(Controller):
         self._c = self._damping if config.c_1_s is None else config.c_1_s
         if self._c > LARGEST_C * self._damping:
             raise ConfigError(
-                f"controller.c_1_s = {self._c:g} 1/s makes a surface of the angle alone, to which wheels of limited torque do "
+                f"controller.c_1_s = {self._c:g} 1/s makes a surface of the angle alone, to which limited torque does "
                 f"not bring a body; at most {LARGEST_C:g} times 2 damping frequency, {LARGEST_C * self._damping:g} 1/s"
             )
         self._kappa, self._lam = config.kappa, config.lam

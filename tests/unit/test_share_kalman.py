@@ -409,6 +409,7 @@ def test_a_wheel_that_is_told_nothing_is_not_written_off_unseen() -> None:
     after a second, so that it is probed, and a sound wheel is known again two seconds later. Never probed, it would stay."""
     monitor, wheels = make_monitor(make_config()), Wheels()
     fly(monitor, wheels, 20)
+    fly(monitor, wheels, 4, torques=lambda k: ZERO4)
     one = monitor._filters[0]
     one.share, one.p_ee = 0.0, 0.25
 
@@ -419,7 +420,7 @@ def test_a_wheel_that_is_told_nothing_is_not_written_off_unseen() -> None:
     dead = [health.dead[0] for health in found]
     assert not any(dead[:8])
     assert any(dead[8:13])
-    assert found[-1].effectiveness[0] > 0.95
+    assert found[-1].effectiveness[0] > 0.9
     assert not dead[-1]
 
 
