@@ -110,7 +110,7 @@ class Flight:
         self.wheel_commands: WheelCommands = REST
         self.torques_saturated = 0  # wheel torques so far that no frame could carry
         self.control_ran = False  # in the last cycle
-        self.out_of_reach = ""  # why the wheels in use do not reach all three axes; empty where they do
+        self.out_of_reach = ""  # why the wheels that can be used do not reach all three axes; empty where they do
         self._available = ALL_WHEELS
         self._mode_of_control = STANDBY
 
@@ -132,7 +132,7 @@ class Flight:
             detection.rate_good,
             estimate.omega_bi_b_rad_s,
             safe_requested or detection.request_safe,
-            self.out_of_reach,
+            self._explain_reach(),
         )
         if detection.rate_step_b_rad_s != ZERO3:
             self.observer.shift_rate(detection.rate_step_b_rad_s)
@@ -237,6 +237,12 @@ class Flight:
             out = ", ".join([f"wheel.{i + 1}" for i in (0, 1, 2, 3) if fitted[i] and not available[i]])
             self.out_of_reach = "" if axes == 3 else f"the wheels in use span {axes} of three axes; out: {out}"
         return health
+
+    def _explain_reach(self) -> str:
+        """Why the wheels do not reach all three axes, by their health or by what the allocator could reckon with."""
+        if self.out_of_reach != "" or self.allocation.axes == 3:
+            return self.out_of_reach
+        return f"the shares of the wheels leave torque about {self.allocation.axes} of three axes"
 
     def _drive(self, dt_s: float, mode: Mode, torque_b_nm: Vec3, health: WheelHealth) -> None:
         """Allocate a body torque and make the wheels' commands of it."""

@@ -279,7 +279,7 @@ class PointingError(Record):
 class Allocation(Record):
     """What the wheels are to give."""
 
-    __slots__ = ("achieved_b_nm", "bias_nm", "margin", "shares", "tau_rw_nm")
+    __slots__ = ("achieved_b_nm", "axes", "bias_nm", "margin", "shares", "tau_rw_nm")
 
     def __init__(
         self,
@@ -288,6 +288,7 @@ class Allocation(Record):
         margin: float = 1.0,
         shares: Vec4 = ONES4,
         bias_nm: Vec4 = ZERO4,
+        axes: int = 3,
     ) -> None:
         self.tau_rw_nm = tau_rw_nm  # torque of each wheel on the body, within its limits
         # the body torque that these add up to, if each wheel gives what it is told
@@ -296,6 +297,7 @@ class Allocation(Record):
         # What was reckoned with: share of its torque that each wheel gives, and what it gives whatever it is told
         self.shares = shares
         self.bias_nm = bias_nm
+        self.axes = axes  # how many directions of torque the wheels span that were reckoned with
 
 
 class WheelCommands(Record):

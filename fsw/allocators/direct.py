@@ -75,7 +75,12 @@ class Direct(Allocator):
         a, b, c, d = commands
         tau_rw_nm = (a, b, c, d)
         return Allocation(
-            tau_rw_nm, wheels.combine(tau_rw_nm), 1.0 - wheels.find_load(tau_rw_nm), self._shares, bias_nm
+            tau_rw_nm,
+            wheels.combine(tau_rw_nm),
+            1.0 - wheels.find_load(tau_rw_nm),
+            self._shares,
+            bias_nm,
+            self._set.rank,
         )
 
     def _make_set(self, shares: Vec4) -> AttainableSet:

@@ -18,6 +18,7 @@ from fsw.allocators.attainable_set import AttainableSet
 from fsw.allocators.direct import MOST_SHOWN, SAME_SHARE, Direct
 from fsw.allocators.pseudo_inverse import PseudoInverse
 from fsw.allocators.settings import DirectAllocationConfig, PseudoInverseConfig
+from fsw.modes import Mode
 from fsw.records import HEALTHY, NO_WHEEL, WheelHealth
 from fsw.settings import ModelConfig, WheelModelConfig
 from fsw.vehicle import Vehicle
@@ -413,3 +414,17 @@ def test_a_wheel_judged_away_is_seen_to_come_back() -> None:
             errors[share_min] = bench.log.signals("/truth/attitude")["error_deg"]
     assert errors[0.15][700:].max() < 0.1
     assert errors[0.0][-1] > 30.0
+
+
+def test_rank_lost_by_shares_alone_is_told_to_the_modes() -> None:
+    """Two dead wheels whose shares fall below dead_below, no wheel told dead: the mode is degraded, and says why."""
+    faults = "faults=[{unit: wheel.1, kind: dead, at_s: 5}, {unit: wheel.2, kind: dead, at_s: 5}]"
+    allocator = "fsw.allocator={kind: direct, share_min: 0, dead_below: 0.1}"
+    learner = "fsw.wheel_health={kind: share_learner}"
+    with Bench.open("braking-profile", ["expect=[]", faults, allocator, learner]) as bench:
+        while bench.flight.modes.mode is not Mode.DEGRADED:
+            assert bench.t_s < 60.0
+            bench.step()
+        assert bench.flight.allocator.internals.rank == 2.0
+        assert bench.flight.modes.reason == "the shares of the wheels leave torque about 2 of three axes"
+        assert not any(bench.flight.health.dead)

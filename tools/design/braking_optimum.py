@@ -1,13 +1,13 @@
 """Shortest time to rest at the target when every fault is known in advance: the `optimum_s` of the case files.
 
-    pip install casadi
+    pip install --group design
     python -m tools.design.braking_optimum                  every case of both files against its stored value
     python -m tools.design.braking_optimum random-03
     python -m tools.design.braking_optimum healthy          the published start, wheels aligned and healthy
 
 Direct multiple shooting: 200 intervals of one RK4 step, wheel torques constant over an interval and within 0.1 N m,
 free end time, solved by IPOPT from two guesses of the end time; fault edges smoothed over 0.15 s. A local optimum, so a
-bound from above. CasADi is needed by this script only and is no dependency of the project.
+bound from above. CasADi is needed by this script only, hence a dependency group of its own.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ def main(names: list[str]) -> int:
     try:
         ca = importlib.import_module("casadi")
     except ImportError:
-        print("this script needs CasADi: pip install casadi", file=sys.stderr)
+        print("this script needs CasADi: pip install --group design", file=sys.stderr)
         return 2
     cases = [*read_cases(), *read_cases(FRESH_FILE)]
     for case in [*cases, make_healthy(cases[0])]:
