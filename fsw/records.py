@@ -137,6 +137,11 @@ class Sensors(Record):
         a, b, c, d = self.wheels
         return (a.valid, b.valid, c.valid, d.valid)
 
+    def wheels_new(self) -> Flags4:
+        """Which wheels have been heard on this tick: what the others say is held from an earlier one."""
+        a, b, c, d = self.wheels
+        return (a.valid and a.new, b.valid and b.new, c.valid and c.new, d.valid and d.new)
+
 
 class Estimate(Record):
     """Attitude and rate as the controllers use them."""

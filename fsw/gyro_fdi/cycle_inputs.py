@@ -75,9 +75,9 @@ class CycleCollector:
         return cycle
 
     def _follow_wheels(self, sensors: Sensors, tau_rw_cmd_nm: Vec4, dt_s: float) -> None:
-        h, valid, last = sensors.wheel_momenta(), sensors.wheels_valid(), self.h_rw_nms
-        if last is None or False not in valid:
+        h, new, last = sensors.wheel_momenta(), sensors.wheels_new(), self.h_rw_nms
+        if last is None or False not in new:
             self.h_rw_nms = h
             return
-        held = [h[i] if valid[i] else last[i] - tau_rw_cmd_nm[i] * dt_s for i in (0, 1, 2, 3)]
+        held = [h[i] if new[i] else last[i] - tau_rw_cmd_nm[i] * dt_s for i in (0, 1, 2, 3)]
         self.h_rw_nms = (held[0], held[1], held[2], held[3])

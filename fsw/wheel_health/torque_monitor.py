@@ -33,6 +33,8 @@ class TorqueMonitor(WheelHealthMonitor):
         """Forget momentum, alarms and which wheels were switched off."""
         self._h: Vec4 | None = None
         self._heard = ALL_WHEELS
+        self._span_s = [0.0, 0.0, 0.0, 0.0]  # since the momentum was last told, and what was commanded over it
+        self._impulse_nms = [0.0, 0.0, 0.0, 0.0]
         self._residual = ZERO4
         self._quiet_s = [0.0, 0.0, 0.0, 0.0]
         self._alarm = [False, False, False, False]
@@ -48,21 +50,31 @@ class TorqueMonitor(WheelHealthMonitor):
     ) -> WheelHealth:
         """Return alarms and, with `reaction: isolate`, which wheels are not to be used. The fault torque is not needed.
 
-        A wheel whose speed is not known, now or at the last call, keeps its residual.
+        A wheel whose speed is not known, now or at the last call, keeps its residual. Where its frame was lost and its
+        momentum is held, the next that comes is compared with all that was commanded since.
         """
         a, b, c, d = wheels
         h: Vec4 = (a.h_nms, b.h_nms, c.h_nms, d.h_nms)
         last = self._h if self._h is not None else h
-        self._h = h
+        self._h = h  # one that is held is the last that was told
         valid = (a.valid, b.valid, c.valid, d.valid)
         known = tuple(now and before for now, before in zip(valid, self._heard, strict=True))
         self._heard = valid
-        gain = dt_s / (self._config.filter_s + dt_s)
         residual = list(self._residual)
         for i in (0, 1, 2, 3):
-            if known[i]:
-                error = (last[i] - h[i]) / dt_s - tau_rw_cmd_nm[i]
-                residual[i] += gain * (error - residual[i])
+            if not known[i]:
+                self._span_s[i] = self._impulse_nms[i] = 0.0
+            elif wheels[i].new:
+                span_s, torque = dt_s, tau_rw_cmd_nm[i]
+                if self._span_s[i] > 0.0:
+                    span_s += self._span_s[i]
+                    torque = (self._impulse_nms[i] + torque * dt_s) / span_s
+                    self._span_s[i] = self._impulse_nms[i] = 0.0
+                error = (last[i] - h[i]) / span_s - torque
+                residual[i] += span_s / (self._config.filter_s + span_s) * (error - residual[i])
+            else:
+                self._span_s[i] += dt_s
+                self._impulse_nms[i] += tau_rw_cmd_nm[i] * dt_s
             self._judge(i, abs(residual[i]), dt_s)
         self._residual = (residual[0], residual[1], residual[2], residual[3])
         alarm: Flags4 = (self._alarm[0], self._alarm[1], self._alarm[2], self._alarm[3])

@@ -66,7 +66,7 @@ class PaperWatch:
 
     def step(self, dt_s: float, torque_cmd_nm: float, reading: WheelReading) -> None:
         """Advance over dt_s, in which this torque on the body was commanded [N m]."""
-        heard = reading.valid
+        heard = reading.valid and reading.new  # a value that is held from an earlier tick is no measurement
         command = -torque_cmd_nm * self._drive
         command = min(max(command, -self._max_command), self._max_command)
         current = -reading.current_a if self._has_motor else command
@@ -77,7 +77,8 @@ class PaperWatch:
             return
         self._filter.step(dt_s, command, current, reading.speed_rad_s, heard)
         if not heard:
-            self.kind = SILENT if self.kind == NONE else self.kind
+            if self.kind == NONE and not reading.valid:
+                self.kind = SILENT
             return
         if self.kind == SILENT:  # what has come about in the meantime is no residual
             self._filter.restart(current, reading.speed_rad_s)

@@ -179,8 +179,9 @@ class WheelWatch:
             else:
                 self._note_silence()
             return
-        # A wheel that says that it does not follow its command teaches nothing of what it would do if it did.
-        heard = valid and reading.status != NO_COMMAND and reading.status != SPEED_LIMIT
+        # A wheel that says that it does not follow its command teaches nothing of what it would do if it did, and a value
+        # that is held from an earlier tick nothing of this one.
+        heard = valid and reading.new and reading.status != NO_COMMAND and reading.status != SPEED_LIMIT
         if not 0.0 < dt_s <= self._longest_s:
             self._gap = True
         else:

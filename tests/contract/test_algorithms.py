@@ -6,6 +6,7 @@ The kinds come from the registries: one that is registered is covered here witho
 from __future__ import annotations
 
 import math
+import random
 from collections.abc import Callable
 from dataclasses import replace
 from types import ModuleType
@@ -321,6 +322,25 @@ def test_wheels_that_do_as_told_are_healthy(config: Any) -> None:
         speed = [w - PERIOD_S * t / 0.01 for w, t in zip(speed, torque, strict=True)]
         for key in ("effectiveness", "available", "alarm", "explained_b_nm", "kind", "dither"):
             assert getattr(health, key) == getattr(HEALTHY, key), key
+
+
+@every(wheel_health)
+def test_lost_frames_are_no_fault_of_a_wheel(config: Any) -> None:
+    """Half of all wheel frames lost, the last values held and marked so, commands that change: nobody is accused."""
+    monitor, rng = make(wheel_health, config), random.Random(11)
+    speed, held = [20.0, 100.0, -100.0, 50.0], [20.0, 100.0, -100.0, 50.0]
+    torque: Vec4 = ZERO4
+    for k in range(600):
+        new = [k == 0 or rng.random() < 0.5 for _ in range(4)]
+        held = [w if ok else old for w, old, ok in zip(speed, held, new, strict=True)]
+        wheels = make_wheels(tuple(held))  # type: ignore[arg-type]
+        for reading, ok in zip(wheels, new, strict=True):
+            reading.new = ok
+        health = monitor.step(PERIOD_S, wheels, torque, ZERO)
+        for key in ("available", "alarm", "kind", "dead"):
+            assert getattr(health, key) == getattr(HEALTHY, key), (key, k)
+        torque = tuple(0.1 * math.sin(0.03 * k + i) for i in range(4))  # type: ignore[assignment]
+        speed = [w - PERIOD_S * t / 0.01 for w, t in zip(speed, torque, strict=True)]
 
 
 # -- controllers ---------------------------------------------------------------------------------------------------

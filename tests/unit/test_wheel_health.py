@@ -103,3 +103,19 @@ def test_without_an_observer_nothing_is_learnt_and_nothing_forgotten() -> None:
     for _ in range(50):
         kept = learner.step(0.1, read_wheels(np.zeros(4)), tau, None)
     assert kept.effectiveness == learnt.effectiveness
+
+
+def test_telemetry_that_is_held_is_no_torque() -> None:
+    """Half of all frames lost, the momentum held meanwhile, commands that change: sound wheels have no residual at all."""
+    monitor = TorqueMonitor(TorqueMonitorConfig(kind="torque_monitor"), VEHICLE, TICK_S)
+    rng = np.random.default_rng(5)
+    h, held, command = np.zeros(4), np.zeros(4), np.zeros(4)
+    for _ in range(2000):
+        h = h - command * TICK_S
+        new = rng.random(4) < 0.5
+        held = np.where(new, h, held)
+        readings = tuple(WheelReading(h_nms=x, new=bool(ok)) for x, ok in zip(held.tolist(), new, strict=True))
+        health = monitor.step(TICK_S, readings, tuple(command.tolist()), None)  # type: ignore[arg-type]
+        assert health.alarm == NO_WHEEL
+        assert max(map(abs, monitor.internals.residual_nm)) < 1e-12
+        command = rng.uniform(-0.1, 0.1, 4)
