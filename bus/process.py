@@ -13,7 +13,7 @@ from dataclasses import asdict
 from types import FrameType
 
 from bus.build import CURRENT
-from bus.errors import HilsatError
+from bus.errors import BusLostError, HilsatError, PeerLostError
 from bus.streams import open_streams
 from bus.telemetry.link import Link
 from bus.trace import describe_unforeseen
@@ -21,6 +21,7 @@ from bus.wire.transport import Transport
 
 MEETING_PATIENCE_S = 10.0  # how long a side waits for the other to come
 PROGRESS_EVERY_S = 0.2
+TOGETHER_S = 0.2  # within which all of a bench are told to end: who is told last may lose the others before
 
 
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # what asks a process to end; SIGHUP: its terminal went away
@@ -93,6 +94,8 @@ def _run_body(name: str, body: Callable[[], None]) -> int:
     try:
         body()
     except HilsatError as error:
+        if isinstance(error, BusLostError | PeerLostError):
+            time.sleep(TOGETHER_S)  # a signal that comes now says why, and is how this process ends
         print(f"{name}: {error}", file=sys.stderr)
         return error.exit_code
     except Exception as error:

@@ -56,6 +56,16 @@ def test_how_a_body_ends_is_the_exit_code_and_one_line(body: str, code: int, wor
         assert "Traceback (most recent call last)" in trace.read_text()
 
 
+def test_a_bus_that_went_because_all_are_told_to_end_is_no_error() -> None:
+    """Told to end a moment after the others have gone: the signal's exit code and no word; not told, the error as it is."""
+    lose = "from bus.errors import BusLostError; raise BusLostError('the host of the bus has gone')"
+    told = "import os, signal, threading; threading.Timer(0.05, os.kill, (os.getpid(), signal.SIGTERM)).start(); "
+    done = run_code(RAISE.format(body=told + lose))
+    assert (done.returncode, done.stderr) == (128 + signal.SIGTERM, "")
+    done = run_code(RAISE.format(body=lose))
+    assert (done.returncode, done.stderr) == (3, "plant: the host of the bus has gone\n")
+
+
 def test_the_traceback_goes_where_it_is_wanted(tmp_path: Path) -> None:
     """To stderr for `--debug`; nowhere, with a word of it, when there is no place to write."""
     shown = run_code(RAISE.format(body="1 / 0"), HILSAT_TRACES="-")
