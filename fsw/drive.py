@@ -93,11 +93,7 @@ class Drive:
             return health
         p, q, r, s = health.available
         share = (1.0 if p else 0.0, 1.0 if q else 0.0, 1.0 if r else 0.0, 1.0 if s else 0.0)
-        return WheelHealth(
-            share, health.available, health.alarm, ZERO3, health.driver_gain, health.torque_gain, health.friction_nm,
-            health.deficit_nm, health.kind, health.confidence, health.dither, health.dither_rw_nm, health.bias_nm,
-            health.dead, health.probe_rw_nm,
-        )  # fmt: skip
+        return health.replace(share, health.available, ZERO3)
 
     def command(self, tau_rw_nm: Vec4, health: WheelHealth, wheels: FourReadings) -> WheelCommands:
         """Return the commands that give these torques on the body [N m], at the wheels' speeds and health.

@@ -227,12 +227,9 @@ class Flight:
             health = without(health, fitted)
         if self.drive.compensates:
             health = self.drive.see(health)
-        usable = health.available
-        if health.dead != NO_WHEEL:
-            (p, q, r, s), (a, b, c, d) = usable, health.dead
-            usable = (p and not a, q and not b, r and not c, s and not d)
-        if usable != self._available:
-            self._available = available = usable
+        available = health.find_usable()
+        if available != self._available:
+            self._available = available
             axes = self.vehicle.wheels.count_axes(available)
             out = ", ".join([f"wheel.{i + 1}" for i in (0, 1, 2, 3) if fitted[i] and not available[i]])
             self.out_of_reach = "" if axes == 3 else f"the wheels in use span {axes} of three axes; out: {out}"

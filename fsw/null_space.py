@@ -15,11 +15,11 @@ from bus.linear import ZERO4
 from bus.units import Vec4
 from fsw.records import ALL_WHEELS, NO_WHEEL, Allocation, Sensors, WheelHealth
 from fsw.settings import NullSpaceConfig
+from fsw.square_wave import SquareWave, check_wave
 from fsw.vehicle import Vehicle
 
 USED_SPEED = 0.95  # share of its largest speed that a wheel is brought to at most to keep another from zero
 LEAST_PART = 1e-6  # part of a wheel in the null space below which it cannot be moved by it
-ROUNDING = 1e-9  # of a period of the dither
 Gap = tuple[float, float]
 
 
@@ -53,6 +53,7 @@ class NullSpace:
         self._wheels = vehicle.wheels
         # Not _null: mypyc makes __null of it, which gcc takes for a word of its own
         self._n0 = _normalise(vehicle.wheels.find_null(vehicle.fitted)) if self.on else ZERO4
+        self._wave = SquareWave(config.dither_period_s)
         self._swing_nm = 0.0
         if self.on:
             _check(config, vehicle, self._n0, period_s)
@@ -66,7 +67,7 @@ class NullSpace:
 
     def reset(self) -> None:
         """At the start of the dither, with nothing done yet."""
-        self._dither_s = 0.0
+        self._wave.reset()
         self.internals = NullSpaceInternals(0.0, 0.0, 0.0, 0.0)
 
     def step(self, dt_s: float, tau_rw_nm: Vec4, allocation: Allocation, health: WheelHealth, sensors: Sensors) -> Vec4:
@@ -87,7 +88,7 @@ class NullSpace:
             target, gain = self._find_target(eta, h_nms)
             wanted = gain * (eta - target)
         if config.dither_nm > 0.0:
-            wanted += self._dither(dt_s)
+            wanted += self._wave.step(dt_s) * self._swing_nm
         a, b, c, d = self._n0
         p, q, r, s = shares
         way = (a / p, b / q, c / r, d / s)
@@ -98,15 +99,6 @@ class NullSpace:
             return tau_rw_nm
         (a, b, c, d), (p, q, r, s) = tau_rw_nm, way
         return self._wheels.limit((a + gamma * p, b + gamma * q, c + gamma * r, d + gamma * s))
-
-    def _dither(self, dt_s: float) -> float:
-        """The square wave at this time; plus in the first half of each period."""
-        period = self._config.dither_period_s
-        # With room for rounding: a half that is one sample longer than the other would be a mean that adds up
-        sign = 1.0 if self._dither_s < (0.5 - ROUNDING) * period else -1.0
-        self._dither_s += dt_s
-        self._dither_s -= period * math.floor(self._dither_s / period + ROUNDING)
-        return sign * self._swing_nm
 
     def _find_room(self, wanted_nm: float, tau_rw_nm: Vec4, way: Vec4) -> float:
         """As much of a null torque as every wheel has room for beside what was allocated to it."""
@@ -189,11 +181,8 @@ def _check(config: NullSpaceConfig, vehicle: Vehicle, null: Vec4, period_s: floa
             f"null_space.dither_nm = {config.dither_nm:g} N m needs null_space.dither_period_s > 0 s; give a period, or "
             "take dither_nm: 0"
         )
-    if config.dither_nm > 0.0 and config.dither_period_s < 2.0 * (1.0 - ROUNDING) * period_s:
-        raise ConfigError(
-            f"null_space.dither_period_s = {config.dither_period_s:g} s is less than two control periods of {period_s:g} s: "
-            f"the wave would be a constant torque; at least {2.0 * period_s:g} s"
-        )
+    if config.dither_nm > 0.0:
+        check_wave("null_space.dither_period_s", config.dither_period_s, period_s)
     most = [i * w for i, w in zip(vehicle.wheel_inertia_kgm2, vehicle.wheel_max_speed_rad_s, strict=True)]
     room = min(USED_SPEED * m / abs(part) for m, part in zip(most, null, strict=True) if part != 0.0)
     if abs(config.momentum_nms) > room:

@@ -237,6 +237,29 @@ class WheelHealth(Record):
         self.dead = dead  # True: no torque is planned on it, yet it stays on, so that a recovery shows
         self.probe_rw_nm = probe_rw_nm  # what dead wheels are told meanwhile; zero for the others
 
+    def find_usable(self) -> Flags4:
+        """Return which wheels a torque can be planned on: available, and not dead."""
+        if self.dead == NO_WHEEL:
+            return self.available
+        (p, q, r, s), (t, u, v, w) = self.available, self.dead
+        return (p and not t, q and not u, r and not v, s and not w)
+
+    def find_shares(self) -> Vec4:
+        """Return the share of its command that each wheel gives that can be used, 0 for the others [1]."""
+        usable = self.find_usable()
+        if usable == ALL_WHEELS:
+            return self.effectiveness
+        (a, b, c, d), (p, q, r, s) = self.effectiveness, usable
+        return (a if p else 0.0, b if q else 0.0, c if r else 0.0, d if s else 0.0)
+
+    def replace(self, effectiveness: Vec4, available: Flags4, explained_b_nm: Vec3) -> WheelHealth:
+        """Return the same with other wheels to reckon with."""
+        return WheelHealth(
+            effectiveness, available, self.alarm, explained_b_nm, self.driver_gain, self.torque_gain, self.friction_nm,
+            self.deficit_nm, self.kind, self.confidence, self.dither, self.dither_rw_nm, self.bias_nm, self.dead,
+            self.probe_rw_nm,
+        )  # fmt: skip
+
 
 HEALTHY = WheelHealth()
 
@@ -244,11 +267,7 @@ HEALTHY = WheelHealth()
 def without(health: WheelHealth, fitted: Flags4) -> WheelHealth:
     """Return the same health with no wheel available that is not fitted."""
     (p, q, r, s), (a, b, c, d) = health.available, fitted
-    return WheelHealth(
-        health.effectiveness, (p and a, q and b, r and c, s and d), health.alarm, health.explained_b_nm,
-        health.driver_gain, health.torque_gain, health.friction_nm, health.deficit_nm, health.kind, health.confidence,
-        health.dither, health.dither_rw_nm, health.bias_nm, health.dead, health.probe_rw_nm,
-    )  # fmt: skip
+    return health.replace(health.effectiveness, (p and a, q and b, r and c, s and d), health.explained_b_nm)
 
 
 class Target(Record):

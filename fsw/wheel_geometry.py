@@ -137,6 +137,10 @@ class WheelGeometry:
                 worst = m
         return (now if now > 0.0 else 0.0, worst if worst > 0.0 else 0.0)
 
+    def find_weakest(self, limit_nm: Vec4) -> float:
+        """Return the torque that these wheels can give in every direction: the least of those along the facets' normals."""
+        return min([self.find_authority(normal, limit_nm)[0] for normal, _ in self._facets])
+
     def count_axes(self, available: Flags4) -> int:
         """Return how many independent directions of torque these wheels have, 0 .. 3."""
         axes = [axis for axis, use in zip(self.axes_b, available, strict=True) if use and dot(axis, axis) > 0.0]

@@ -9,7 +9,7 @@ from bus.units import Vec3, Vec4
 from fsw.allocators.attainable_set import AttainableSet
 from fsw.allocators.settings import DirectAllocationConfig
 from fsw.families import Allocator
-from fsw.records import ALL_WHEELS, NO_WHEEL, ONES4, Allocation, WheelHealth
+from fsw.records import ONES4, Allocation, WheelHealth
 from fsw.vehicle import Vehicle
 
 SAME_SHARE = 1e-4  # change of a share below which the attainable set is kept: making it takes far longer than using it
@@ -95,19 +95,13 @@ class Direct(Allocator):
         return False
 
     def _find_shares(self, health: WheelHealth) -> Vec4:
-        if (
-            (health.effectiveness == ONES4 or not self._use_health)
-            and health.available == ALL_WHEELS
-            and health.dead == NO_WHEEL
-        ):
-            return ONES4
         a, b, c, d = health.effectiveness if self._use_health else ONES4
-        (p, q, r, s), (t, u, v, w) = health.available, health.dead
+        p, q, r, s = health.find_usable()
         return (
-            self._floor(a) if p and not t else 0.0,
-            self._floor(b) if q and not u else 0.0,
-            self._floor(c) if r and not v else 0.0,
-            self._floor(d) if s and not w else 0.0,
+            self._floor(a) if p else 0.0,
+            self._floor(b) if q else 0.0,
+            self._floor(c) if r else 0.0,
+            self._floor(d) if s else 0.0,
         )
 
     def _floor(self, share: float) -> float:

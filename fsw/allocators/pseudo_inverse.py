@@ -6,10 +6,8 @@ from bus.linear import ZERO4, subtract
 from bus.units import Vec3, Vec4
 from fsw.allocators.settings import PseudoInverseConfig
 from fsw.families import Allocator
-from fsw.records import ALL_WHEELS, NO_WHEEL, Allocation, WheelHealth
+from fsw.records import ONES4, Allocation, WheelHealth
 from fsw.vehicle import Vehicle
-
-FULL: Vec4 = (1.0, 1.0, 1.0, 1.0)
 
 
 class PseudoInverse(Allocator):
@@ -36,19 +34,12 @@ class PseudoInverse(Allocator):
 
     def allocate(self, tau_cmd_b_nm: Vec3, health: WheelHealth) -> Allocation:
         """Return wheel torques within limits [N m] for a body torque, body axes [N m]."""
-        wheels, shares, bias_nm = self._wheels, FULL, ZERO4
+        wheels, bias_nm = self._wheels, ZERO4
         if self._use_health and health.bias_nm != ZERO4:
             bias_nm = health.bias_nm
             tau_cmd_b_nm = subtract(tau_cmd_b_nm, wheels.combine(bias_nm))
-        if (
-            (health.effectiveness == FULL or not self._use_health)
-            and health.available == ALL_WHEELS
-            and health.dead == NO_WHEEL
-        ):
-            tau_rw_nm = wheels.spread(tau_cmd_b_nm)
-        else:
-            shares = self._find_shares(health)
-            tau_rw_nm = wheels.spread_weighted(tau_cmd_b_nm, shares)
+        shares = self._find_shares(health)
+        tau_rw_nm = wheels.spread(tau_cmd_b_nm) if shares == ONES4 else wheels.spread_weighted(tau_cmd_b_nm, shares)
         load = wheels.find_load(tau_rw_nm)
         if load > 1.0:
             if self._keep_direction:
@@ -61,11 +52,11 @@ class PseudoInverse(Allocator):
 
     def _find_shares(self, health: WheelHealth) -> Vec4:
         low = self._share_min
-        a, b, c, d = health.effectiveness if self._use_health else FULL
-        (p, q, r, s), (t, u, v, w) = health.available, health.dead
+        a, b, c, d = health.effectiveness if self._use_health else ONES4
+        p, q, r, s = health.find_usable()
         return (
-            0.0 if t or not p else a if a > low else low,
-            0.0 if u or not q else b if b > low else low,
-            0.0 if v or not r else c if c > low else low,
-            0.0 if w or not s else d if d > low else low,
+            0.0 if not p else a if a > low else low,
+            0.0 if not q else b if b > low else low,
+            0.0 if not r else c if c > low else low,
+            0.0 if not s else d if d > low else low,
         )

@@ -27,13 +27,6 @@ class Transpose(Allocator):
         """Return wheel torques within limits [N m] for a body torque, body axes [N m]."""
         wheels = self._wheels
         a, b, c, d = wheels.project(tau_cmd_b_nm)
-        (p, q, r, s), (t, u, v, w) = health.available, health.dead
-        tau_rw_nm = wheels.limit(
-            (
-                a if p and not t else 0.0,
-                b if q and not u else 0.0,
-                c if r and not v else 0.0,
-                d if s and not w else 0.0,
-            )
-        )
+        p, q, r, s = health.find_usable()
+        tau_rw_nm = wheels.limit((a if p else 0.0, b if q else 0.0, c if r else 0.0, d if s else 0.0))
         return Allocation(tau_rw_nm, wheels.combine(tau_rw_nm), 1.0 - wheels.find_load(tau_rw_nm))

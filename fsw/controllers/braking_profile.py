@@ -13,7 +13,7 @@ from bus.linear import ZERO3, ZERO4, times
 from bus.units import Vec3, Vec4
 from fsw.controllers.settings import BrakingProfileConfig
 from fsw.families import Controller
-from fsw.records import ALL_WHEELS, NO_WHEEL, PointingError, WheelHealth
+from fsw.records import PointingError, WheelHealth
 from fsw.vehicle import Vehicle
 
 BRAKING_MIN_RAD_S2: Final = 2e-4  # slowest braking planned on: a wheel set judged dead would otherwise never move again
@@ -108,7 +108,7 @@ class BrakingProfile(Controller):
         eta = far = config.eta
         if config.adapt:
             la, lb, lc, ld = self._wheels.max_torque_nm
-            shares = _find_shares(health)
+            shares = health.find_shares()
             ea, eb, ec, ed = shares
             given = ZERO3 if health.bias_nm == ZERO4 else self._wheels.combine(health.bias_nm)
             now, worst = self._wheels.find_authority(per_accel, (la * ea, lb * eb, lc * ec, ld * ed), given)
@@ -141,16 +141,3 @@ class BrakingProfile(Controller):
             ty += wz * hx - wx * hz
             tz += wx * hy - wy * hx
         return (tx, ty, tz)
-
-
-def _find_shares(health: WheelHealth) -> Vec4:
-    """Share of its torque that each wheel can be planned on with; none of one that is dead or switched off [1]."""
-    if health.available == ALL_WHEELS and health.dead == NO_WHEEL:
-        return health.effectiveness
-    (a, b, c, d), (p, q, r, s), (t, u, v, w) = health.effectiveness, health.available, health.dead
-    return (
-        a if p and not t else 0.0,
-        b if q and not u else 0.0,
-        c if r and not v else 0.0,
-        d if s and not w else 0.0,
-    )

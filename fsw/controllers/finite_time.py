@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 from bus.errors import ConfigError
-from bus.linear import ZERO3, add, cross, times
+from bus.linear import ZERO3, add, cross, subtract, times
 from bus.units import Mat3, Vec3
 from fsw.controllers.latency import Latency
 from fsw.controllers.settings import FiniteTimeConfig
@@ -97,12 +97,10 @@ class FiniteTime(Controller):
         error = self._latency.predict(error, tau_fault_hat_b_nm)
         self._sigma = sigma = find_mrp(error.q_tb)
         self._omega = omega = error.omega_bt_b_rad_s
-        tx, ty, tz = self._solve(sigma, omega) if self._implicit else self._evaluate(sigma, omega)
+        torque = self._solve(sigma, omega) if self._implicit else self._evaluate(sigma, omega)
         if self._gyroscopic:
-            gx, gy, gz = find_gyroscopic_torque(self._inertia, error)
-            tx, ty, tz = tx + gx, ty + gy, tz + gz
-        vx, vy, vz = tau_fault_hat_b_nm
-        return (tx - vx, ty - vy, tz - vz)
+            torque = add(torque, find_gyroscopic_torque(self._inertia, error))
+        return subtract(torque, tau_fault_hat_b_nm)
 
     def _evaluate(self, sigma: Vec3, omega: Vec3) -> Vec3:
         """The law at this instant [N m]."""
@@ -157,8 +155,5 @@ def find_gyroscopic_torque(inertia_kgm2: Mat3, error: PointingError) -> Vec3:
     feed-forward, which has d x J d."""
     d = error.omega_ti_b_rad_s
     w = add(error.omega_bt_b_rad_s, d)
-    x, y, z = cross(w, times(inertia_kgm2, w))
-    if d == ZERO3:
-        return (x, y, z)
-    a, b, c = cross(d, times(inertia_kgm2, d))
-    return (x - a, y - b, z - c)
+    torque = cross(w, times(inertia_kgm2, w))
+    return torque if d == ZERO3 else subtract(torque, cross(d, times(inertia_kgm2, d)))

@@ -9,9 +9,9 @@ import math
 from typing import Final, NamedTuple
 
 from bus.errors import ConfigError
-from bus.linear import ZERO3, cross, dot, times
+from bus.linear import ZERO3, add, subtract, times
 from bus.units import Vec3, Vec4
-from fsw.controllers.finite_time import find_gyroscopic_torque
+from fsw.controllers.finite_time import HALVINGS, QUARTER, find_gyroscopic_torque
 from fsw.controllers.gain_condition import find_dominance, find_largest_beta, find_least_gain
 from fsw.controllers.latency import Latency
 from fsw.controllers.settings import PowerIntegratorConfig
@@ -20,16 +20,12 @@ from fsw.families import Controller
 from fsw.mrp import find_mrp
 from fsw.records import ONES4, PointingError, WheelHealth
 from fsw.vehicle import Vehicle
-from fsw.wheel_geometry import WheelGeometry
 
-HALVINGS: Final = 80  # of a bracket that holds the rate at the end of the period: below its last bit, but near zero
 FIVE_THIRDS: Final = 5.0 / 3.0
 FIFTH: Final = 0.2
-QUARTER: Final = 0.25  # G at sigma = 0
 LEAST_SHARE: Final = (
     0.05  # of the torque in the weakest direction, as far as beta follows it down: it must go on moving
 )
-PARALLEL: Final = 1e-9  # |a x b| below which two wheels' axes have no plane
 
 
 class PowerIntegratorInternals(NamedTuple):
@@ -76,7 +72,6 @@ class PowerIntegrator(Controller):
         "_latency",
         "_least",
         "_m",
-        "_normals",
         "_omega",
         "_period_s",
         "_shares",
@@ -85,7 +80,7 @@ class PowerIntegrator(Controller):
         "_weight",
         "_wheels",
         "_xi",
-    )  # fmt: skip
+    )
 
     def __init__(self, config: PowerIntegratorConfig, vehicle: Vehicle, period_s: float) -> None:
         """Raises ConfigError where the gain is below what the proof needs and gain_check is `refuse`."""
@@ -105,7 +100,6 @@ class PowerIntegrator(Controller):
                 raise ConfigError(f"{self._caution}, or gain_check: warn")
         self._adapt = config.adapt_beta
         self._wheels = vehicle.wheels
-        self._normals = _find_normals(vehicle.wheels)
         self._weakest_nm = self._find_weakest(ONES4)
         self.reset()
 
@@ -145,12 +139,10 @@ class PowerIntegrator(Controller):
         self._xi = (
             sig(w[0], FIVE_THIRDS) + b * s[0], sig(w[1], FIVE_THIRDS) + b * s[1], sig(w[2], FIVE_THIRDS) + b * s[2],
         )  # fmt: skip
-        tx, ty, tz = self._push(s, w)
+        torque = self._push(s, w)
         if self._gyroscopic:
-            gx, gy, gz = find_gyroscopic_torque(self._inertia, error)
-            tx, ty, tz = tx + gx, ty + gy, tz + gz
-        vx, vy, vz = tau_fault_hat_b_nm
-        return (tx - vx, ty - vy, tz - vz)
+            torque = add(torque, find_gyroscopic_torque(self._inertia, error))
+        return subtract(torque, tau_fault_hat_b_nm)
 
     def _push(self, s: Vec3, w: Vec3) -> Vec3:
         """The torque towards the manifold and along it [N m]."""
@@ -191,10 +183,7 @@ class PowerIntegrator(Controller):
 
     def _follow(self, health: WheelHealth) -> None:
         """Let beta^2 follow the torque in the weakest direction of the wheels that are left: braking takes beta^2."""
-        (a, b, c, d), (p, q, r, s), (t, u, v, w) = health.effectiveness, health.available, health.dead
-        shares: Vec4 = (
-            a if p and not t else 0.0, b if q and not u else 0.0, c if r and not v else 0.0, d if s and not w else 0.0,
-        )  # fmt: skip
+        shares = health.find_shares()
         if shares != self._shares:
             self._shares = shares
             left = self._find_weakest(shares) / self._weakest_nm
@@ -205,8 +194,7 @@ class PowerIntegrator(Controller):
         """The torque that these wheels can give in every direction [N m]: the least over the normals of their facets."""
         la, lb, lc, ld = self._wheels.max_torque_nm
         a, b, c, d = shares
-        limits: Vec4 = (la * a, lb * b, lc * c, ld * d)
-        return min([self._wheels.find_authority(normal, limits)[0] for normal in self._normals])
+        return self._wheels.find_weakest((la * a, lb * b, lc * c, ld * d))
 
     def _set_beta(self, beta_rad_s: float) -> None:
         self._beta, self._beta53 = beta_rad_s, math.pow(beta_rad_s, FIVE_THIRDS)
@@ -226,15 +214,3 @@ def _explain_gain(config: PowerIntegratorConfig, gain: float, least: float) -> s
         f"fsw.controller.m: {given}{counts} is below m_min = {least:.4g} rad/s^2 of beta {config.beta:g}, and "
         f"finite time is not proven; take m >= {need:.4g}, or beta <= {find_largest_beta(gain):.3g}"
     )
-
-
-def _find_normals(wheels: WheelGeometry) -> list[Vec3]:
-    """Unit normals of the pairs of wheel axes."""
-    normals: list[Vec3] = []
-    axes = wheels.axes_b
-    for i, j in ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)):
-        x, y, z = normal = cross(axes[i], axes[j])
-        length = math.sqrt(dot(normal, normal))
-        if length > PARALLEL:
-            normals.append((x / length, y / length, z / length))
-    return normals

@@ -10,6 +10,7 @@ from bus.linear import ZERO3, ZERO4
 from bus.units import Vec3, Vec4
 from fsw.families import WheelHealthMonitor
 from fsw.records import ALL_WHEELS, NO_WHEEL, ONES4, Flags4, FourReadings, WheelHealth
+from fsw.square_wave import SquareWave, check_wave
 from fsw.vehicle import Vehicle
 from fsw.wheel_health.command_delay import CommandDelay
 from fsw.wheel_health.settings import ShareKalmanConfig
@@ -23,7 +24,6 @@ LONGEST_PERIODS: Final = 20.0  # an interval of more than so many periods teache
 LEAST_SHARE: Final = 0.2  # a weaker wheel is not stirred more than one of this share
 SIGMAS: Final = 3.0  # an alarm wants to be so sure
 RELEASE: Final = 0.5  # an alarm ends below this part of what gave it
-ROUND_OFF: Final = 1e-9  # of a period: sums of time steps
 
 
 class ShareKalmanInternals(NamedTuple):
@@ -83,6 +83,7 @@ class ShareKalman(WheelHealthMonitor):
         )
         self._filters = (a, b, c, d)
         self._blocks = (_Block(), _Block(), _Block(), _Block())
+        self._wave = SquareWave(config.wave_period_s)
         self._delay = CommandDelay(config.command_latency_s, period_s)
         self.reset()
 
@@ -96,7 +97,7 @@ class ShareKalman(WheelHealthMonitor):
         self._alarm: Flags4 = NO_WHEEL
         self._dead: Flags4 = NO_WHEEL
         self._seen = ZERO4  # what the wheels give beside what they are told, through the observer's lag
-        self._wave_s = 0.0
+        self._wave.reset()
         self._low_s = [0.0, 0.0, 0.0, 0.0]  # for how long each share has been below dead_below
 
     @property
@@ -132,7 +133,7 @@ class ShareKalman(WheelHealthMonitor):
         shares = (self._say_share(p), self._say_share(q), self._say_share(r), self._say_share(s))
         bias_nm = (self._say_bias(0), self._say_bias(1), self._say_bias(2), self._say_bias(3))
         explained = self._explain(dt_s, shares, bias_nm, tau_rw_cmd_nm, tau_fault_hat_b_nm)
-        wave = self._swing(dt_s)
+        wave = self._wave.step(dt_s)  # of probes and dither
         dither, dither_rw_nm = DITHER_OFF, ZERO4
         if tau_fault_hat_b_nm is not None:
             dither, dither_rw_nm = self._stir(shares, wave)
@@ -215,16 +216,6 @@ class ShareKalman(WheelHealthMonitor):
             return ZERO3
         return self._geometry.combine((a, b, c, d))
 
-    def _swing(self, dt_s: float) -> float:
-        """The square wave of probes and dither, +1 or -1."""
-        period_s = self._config.wave_period_s
-        wave = 1.0 if self._wave_s < (0.5 - ROUND_OFF) * period_s else -1.0
-        if dt_s > 0.0:
-            self._wave_s = math.fmod(self._wave_s + dt_s, period_s)
-            if period_s - self._wave_s < ROUND_OFF * period_s:
-                self._wave_s = 0.0
-        return wave
-
     def _probe(self, wave: float) -> Vec4:
         """What dead wheels are told [N m]."""
         torque = self._config.probe_nm * wave
@@ -257,11 +248,8 @@ def _bound(share: float) -> float:
 
 def _check(config: ShareKalmanConfig, vehicle: Vehicle, period_s: float) -> None:
     waves = config.probe_nm > 0.0 or (config.dither != "off" and config.dither_nm > 0.0)
-    if waves and config.wave_period_s < 2.0 * (1.0 - ROUND_OFF) * period_s:
-        raise ConfigError(
-            f"fsw.wheel_health.wave_period_s = {config.wave_period_s:g} s is less than two control periods of "
-            f"{period_s:g} s: the wave would be a constant torque; at least {2.0 * period_s:g} s"
-        )
+    if waves:
+        check_wave("fsw.wheel_health.wave_period_s", config.wave_period_s, period_s)
     if config.speed_quantum_rad_s == 0.0 and config.torque_noise_nm == 0.0:
         raise ConfigError(
             "fsw.wheel_health: speed_quantum_rad_s and torque_noise_nm are both 0, so that a measurement would have no "
