@@ -128,6 +128,7 @@ class Inputs:
         self._tick = tick
         self._q_new = False
         sensors = self.sensors
+        sync_tick = self.plant_tick + 1  # which this batch's SYNC says if the plant goes on by one
         if self._take_usual(tick, batch):
             sensors.gyro_valid = ALL_AXES
         else:
@@ -135,7 +136,7 @@ class Inputs:
             a, b, c, d = sensors.wheels
             a.new = b.new = c.new = d.new = False
             self._take(batch)
-            if self._is_in_step(tick):
+            if self._is_in_step(tick) and self.plant_tick == sync_tick:
                 self._group.join()
             else:
                 self._group.stay_apart()
@@ -159,7 +160,7 @@ class Inputs:
                 return False
             usual, between = parts
         s1, s2, s3, s4, i1, i2, i3, i4, x, y, z, plant_tick = decode_sensors(usual, self._group.expected)
-        if plant_tick < 0:
+        if plant_tick != self.plant_tick + 1:  # -1 where the batch is not as usual
             return False
         t1, t2, t3, t4 = self._top_speed_rad_s
         if not (-t1 <= s1 <= t1 and -t2 <= s2 <= t2 and -t3 <= s3 <= t3 and -t4 <= s4 <= t4):
@@ -184,7 +185,8 @@ class Inputs:
         """Whether all that speak on every tick have said something of this one.
 
         A wheel whose frames are late by a whole turn of the alive counter has the counter of the others: only its SYNC_CNT
-        tells, which `_take_usual` does not look at.
+        tells, which `_take_usual` does not look at. That it is as good as looked at there needs a SYNC that went on by one
+        as well: after one of another tick (a second sender's, say) the age of every wheel is another.
         """
         return min(self._wheel_tick) == tick and min(self._rate_tick) == tick
 

@@ -219,3 +219,20 @@ def test_one_turned_bit_is_always_seen() -> None:
     )
     bits = int.from_bytes(sensors, "little")
     assert all(decode_sensors((bits ^ 1 << bit).to_bytes(128, "little"), 4)[-1] == -1 for bit in range(1024))
+
+
+def test_after_a_sync_of_another_tick_both_ways_judge_the_wheels_the_same() -> None:
+    """A second sender's SYNC(6) within the frames of tick 0 makes the wheels of tick 1 too old, whichever way they take."""
+    usual, each = (Inputs(FSW.modes, Vehicle(FSW.model), TICK_S, 77) for _ in range(2))
+    for tick in range(4):
+        frames = split(
+            encode_rw_tlms(tick, (0, 0, 0, 0), (1.0, 2.0, 3.0, 4.0), (1.0, 2.0, 3.0, 4.0), tick)
+            + encode_fogs(tick, (0, 0, 0), (0.1, -0.2, 0.3), tick)
+            + encode_SYNC(tick, 0, tick)
+        )
+        if tick == 0:
+            frames.insert(-2, encode_SYNC(0, 0, 6))
+        forget(each)
+        assert usual.receive(tick, b"".join(frames)) == each.receive(tick, b"".join(frames))
+        assert usual.counters == each.counters
+        assert [wheel.new for wheel in usual.sensors.wheels] == [tick != 1] * 4
