@@ -1,0 +1,86 @@
+"""A Unix datagram socket that speaks MAVLink packets: private to who can enter its directory, and never waited for.
+
+Every reader is somebody's loop: `poll` takes at most so many datagrams and returns, `send` drops what does not fit, and both
+count. Who talks to an endpoint binds a socket of its own beside it, for the answers.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+from pathlib import Path
+from typing import Final
+
+from bus.errors import UsageError
+from bus.mavlink.packets import LinkCounters, Message, Packets
+
+LARGEST: Final = 65536  # bytes of one datagram
+AT_ONCE: Final = 8  # datagrams of one poll
+LONGEST_PATH: Final = 107  # bytes, of a Unix socket's name
+
+
+class Endpoint:
+    """One component's socket."""
+
+    def __init__(self, path: Path, system: int, component: int) -> None:
+        """Bind the socket at a path that is not there yet. Raises UsageError where that cannot be."""
+        self.path = path
+        self.counters = LinkCounters()
+        self._packets = Packets(system, component, self.counters)
+        if len(os.fsencode(path)) > LONGEST_PATH:
+            raise UsageError(
+                f"{path}: too long for a socket's name ({LONGEST_PATH} bytes); set TMPDIR to a shorter directory"
+            )
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC | socket.SOCK_NONBLOCK)
+        try:
+            self._socket.bind(os.fspath(path))
+            os.chmod(path, 0o600)
+        except OSError as error:
+            self._socket.close()
+            raise UsageError(f"{path}: cannot make the command socket: {error.strerror or error}") from None
+
+    def poll(self, most: int = AT_ONCE) -> list[tuple[Message, str]]:
+        """Return the messages of at most so many datagrams that wait, each with the address to answer to ("": none)."""
+        found: list[tuple[Message, str]] = []
+        for _ in range(most):
+            try:
+                datagram, sender = self._socket.recvfrom(LARGEST)
+            except (BlockingIOError, InterruptedError):
+                break
+            except OSError:  # an answer of ours met nobody
+                continue
+            address = sender if isinstance(sender, str) else ""
+            found += [(message, address) for message in self._packets.read(datagram)]
+        return found
+
+    def send(self, message: Message, to: str) -> bool:
+        """Send a message; False, and counted, when it could not be taken at once or nobody is there."""
+        return self.send_packet(self._packets.write(message), to)
+
+    def send_to_all(self, message: Message, addresses: list[str]) -> None:
+        """Send a message, one packet of one sequence number, to each of them."""
+        if addresses:
+            packet = self._packets.write(message)
+            for address in addresses:
+                self.send_packet(packet, address)
+
+    def send_packet(self, packet: bytes, to: str) -> bool:
+        """Send a packet as it is."""
+        try:
+            self._socket.sendto(packet, to)
+        except (OSError, ValueError):
+            self.counters.dropped += 1
+            return False
+        return True
+
+    def fileno(self) -> int:
+        """Return a descriptor that is readable when `poll` has something."""
+        return self._socket.fileno()
+
+    def close(self) -> None:
+        """Close and remove the socket. May be repeated."""
+        if self._socket.fileno() >= 0:
+            self._socket.close()
+            with contextlib.suppress(OSError):
+                os.unlink(self.path)

@@ -1,0 +1,55 @@
+"""The numbers of MAVLink that are in use here, by their names in common.xml. A dialect's own enumerations age; raw numbers do not."""
+
+from __future__ import annotations
+
+from typing import Final
+
+SYSTEM_ID: Final = 1  # of the satellite: flight software and plant are two components of one system
+GROUND_SYSTEM_ID: Final = 255
+FSW_COMPONENT: Final = 1  # MAV_COMP_ID_AUTOPILOT1: the vehicle
+PLANT_COMPONENT: Final = 25  # MAV_COMP_ID_USER1: the test bench's side of the vehicle
+GROUND_COMPONENT: Final = 190  # MAV_COMP_ID_MISSIONPLANNER: a ground program
+GATEWAY_COMPONENT: Final = 240  # MAV_COMP_ID_UDP_BRIDGE
+
+# MAV_TYPE, MAV_AUTOPILOT, MAV_MODE_FLAG, MAV_STATE
+TYPE_SPACECRAFT: Final = 45
+TYPE_GROUND: Final = 6
+TYPE_ONBOARD: Final = 18
+AUTOPILOT_GENERIC: Final = 0
+AUTOPILOT_INVALID: Final = 8
+FLAG_CUSTOM_MODE: Final = 1
+FLAG_HIL: Final = 32
+FLAG_ARMED: Final = 128
+STATE_BOOT, STATE_STANDBY, STATE_ACTIVE, STATE_CRITICAL, STATE_EMERGENCY = 1, 3, 4, 5, 6
+
+# MAV_RESULT
+ACCEPTED: Final = 0
+TEMPORARILY_REJECTED: Final = 1
+DENIED: Final = 2
+UNSUPPORTED: Final = 3
+FAILED: Final = 4
+IN_PROGRESS: Final = 5
+
+# MAV_SEVERITY
+ALERT, CRITICAL, ERROR, WARNING, NOTICE, INFO = 1, 2, 3, 4, 5, 6
+
+# MAV_CMD
+CMD_DO_SET_MODE: Final = 176
+CMD_ARM_DISARM: Final = 400
+CMD_GET_HOME: Final = 410
+CMD_INJECT_FAILURE: Final = 420
+CMD_SET_MESSAGE_INTERVAL: Final = 511
+CMD_REQUEST_MESSAGE: Final = 512
+CMD_REQUEST_CAPABILITIES: Final = 520
+CMD_CAN_FORWARD: Final = 32000
+
+# MAV_PARAM_TYPE, MAV_PARAM_ERROR
+PARAM_REAL32: Final = 9
+PARAM_DOES_NOT_EXIST, PARAM_OUT_OF_RANGE, PARAM_DENIED, PARAM_READ_ONLY = 1, 2, 3, 6
+
+# MAV_PROTOCOL_CAPABILITY
+CAN_FLOAT_PARAMETERS: Final = 2
+CAN_COMMAND_INT: Final = 8
+CAN_PARAM_ENCODE_C_CAST: Final = 131072
+CAN_SET_ATTITUDE_TARGET: Final = 64
+CAN_MAVLINK2: Final = 8192
