@@ -54,6 +54,14 @@ class RunConfig:
         return round(self.duration_s * self.clock.tick_hz)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GroundConfig:
+    """A side's socket for MAVLink, where it has one: key `ground` of the file a process is started with."""
+
+    socket: str  # path of a Unix datagram socket that this side makes, in the run's private directory
+    inject: bool = False  # whether faults may be injected by command; no concern of the flight software
+
+
 def run_hash(resolved: dict[str, Any]) -> int:
     """Number (u32) that two peers must agree on: it stands for everything that decides the bytes of the run.
 

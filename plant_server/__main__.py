@@ -10,7 +10,7 @@ from pathlib import Path
 from bus.clock import MonotonicClock, SystemClock, claim_realtime
 from bus.icd.heartbeat import FAILED, STOPPED
 from bus.process import MEETING_PATIENCE_S, Progress, last_word, run_process
-from bus.run import RunConfig
+from bus.run import GroundConfig, RunConfig
 from bus.settings import build_file
 from bus.telemetry.link import TelemetryLink
 from bus.wire.address import open_transport
@@ -31,6 +31,7 @@ class PlantFile:
     run: RunConfig
     plant: PlantConfig
     faults: tuple[Fault, ...] = ()
+    ground: GroundConfig | None = None  # no socket for commands and telemetry
 
 
 def main(argv: list[str] | None = None) -> int:
