@@ -12,7 +12,7 @@ from bus.telemetry.link import Link, Row, TickPacker, announce_topics, pack_inpu
 from bus.wheels import ACTIONS, CLEAR_LATCH
 from fsw.flight import Flight
 from fsw.modes import Mode
-from fsw.records import NO_KIND, NO_WHEEL, Flags4, WheelHealth
+from fsw.records import ALL_AXES, ALL_WHEELS, NO_KIND, NO_WHEEL, Detection, Flags4, WheelHealth
 from fsw.telemetry import (
     CONTROL_TOPICS,
     FIRST_CHANNEL,
@@ -32,6 +32,8 @@ if COMPILED:  # never where librt may be missing
 
 SAFE_ASKED: Final = 1  # flags of /fsw/input
 SHEDDING: Final = 2
+ALARM: Final = 2  # states of a gyro axis from here on: the axis is not used as it is
+SOUND_GYRO = (0, 0, 0)
 WAIT_S: Final = 1.0  # a mode that waits for longer says for what
 
 
@@ -47,6 +49,9 @@ class FlightLog:
         self._rivals_said: set[int] = set()
         self._kinds, self._available, self._dither = NO_KIND, flight.vehicle.fitted, 0
         self._dead = NO_WHEEL
+        self._gyro_state = SOUND_GYRO
+        self._gyro_heard, self._star_heard, self._star_lost = ALL_AXES, False, False
+        self._wheels_heard: Flags4 = ALL_WHEELS
         self._waited_for, self._since_tick, self._said = "", 0, False
         self._every_tick = TickPacker(TICK_TOPICS, FIRST_CHANNEL)
         self._on_control = TickPacker(CONTROL_TOPICS, FIRST_CHANNEL + len(TICK_TOPICS))
@@ -73,6 +78,7 @@ class FlightLog:
             self._say_request(t_ns)
         if flight.control_ran:
             self._say_rivals(t_ns)
+            self._say_sensors(t_ns)
             health = flight.health
             if health.kind != self._kinds or health.available != self._available or health.dither != self._dither:
                 self._say_wheels(health, t_ns)
@@ -136,6 +142,45 @@ class FlightLog:
                 if can_id not in self._rivals_said:
                     self._rivals_said.add(can_id)
                     self.link.event(t_ns, "warning", "fsw", f"two senders of 0x{can_id:03X} on the bus")
+
+    def _say_sensors(self, t_ns: int) -> None:
+        """A line for every sensor that falls silent or is heard again, and every axis of the gyro that is found wrong."""
+        sensors, detection = self._flight.inputs.sensors, self._flight.detection
+        if detection.gyro_state != self._gyro_state:
+            self._say_gyro(detection, t_ns)
+        if sensors.gyro_valid != self._gyro_heard:
+            self._say_silent(tuple(f"gyro.{axis}" for axis in "xyz"), self._gyro_heard, sensors.gyro_valid, t_ns)
+            self._gyro_heard = sensors.gyro_valid
+        heard = sensors.wheels_valid()
+        if heard != self._wheels_heard:
+            self._say_silent(("wheel.1", "wheel.2", "wheel.3", "wheel.4"), self._wheels_heard, heard, t_ns)
+            self._wheels_heard = heard
+        if sensors.star_valid != self._star_heard:
+            if not self._star_heard and self._star_lost:
+                self.link.event(t_ns, "info", "fsw", "star_tracker gives an attitude again")
+            elif self._star_heard:
+                self._star_lost = True
+                self.link.event(t_ns, "warning", "fsw", f"star_tracker: no attitude for {sensors.star_age_s:.1f} s")
+            self._star_heard = sensors.star_valid
+
+    def _say_silent(self, names: tuple[str, ...], before: tuple[bool, ...], now: tuple[bool, ...], t_ns: int) -> None:
+        for name, was, is_heard in zip(names, before, now, strict=True):
+            if was and not is_heard:
+                self.link.event(t_ns, "warning", "fsw", f"{name} is silent")
+            elif is_heard and not was:
+                self.link.event(t_ns, "info", "fsw", f"{name} is heard again")
+
+    def _say_gyro(self, detection: Detection, t_ns: int) -> None:
+        """A line for every axis that is found faulty, told what is wrong with it, or found well again."""
+        for i, axis in enumerate("xyz"):
+            state, before = detection.gyro_state[i], self._gyro_state[i]
+            if state >= ALARM and state > before:
+                found = "fault isolated" if state == ALARM else "fault classified"
+                size = detection.fault_hat_b_rad_s[i]
+                self.link.event(t_ns, "warning", "fsw", f"gyro.{axis}: {found}, about {size:.2g} rad/s")
+            elif before >= ALARM and state < ALARM:
+                self.link.event(t_ns, "info", "fsw", f"gyro.{axis}: no fault any more")
+        self._gyro_state = detection.gyro_state
 
     def _say_request(self, t_ns: int) -> None:
         """A line for every request to a wheel."""
