@@ -137,8 +137,7 @@ class PlantLog:
             t_ns, event.tick, fault.unit, fault.kind, event.phase, event.value, fault.describe(),
             id=event.id, number=event.number, definition=fault.definition,
         )  # fmt: skip
-        phase = f"{event.phase} by {event.by}" if event.by else event.phase
-        self.link.event(t_ns, LEVELS[event.phase], "plant", f"fault {phase}: {event.id}: {fault.describe()}")
+        self.link.event(t_ns, LEVELS[event.phase], "plant", describe_event(event))
 
     def note_command(self, command: Command, tick: int, done: str) -> None:
         """Log a command that was applied before the work of this tick."""
@@ -164,3 +163,9 @@ class PlantLog:
         self.link.event(
             t_ns, "warning", "plant", f"{command.verb} by {command.origin} at tick {tick} refused: {reason}"
         )
+
+
+def describe_event(event: FaultEvent) -> str:
+    """Return what has become of a fault, as a line for people: the same in the log and on every link."""
+    phase = f"{event.phase} by {event.by}" if event.by else event.phase
+    return f"fault {phase}: {event.id}: {event.fault.describe()}"

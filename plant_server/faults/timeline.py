@@ -12,6 +12,7 @@ the length of its profile, has passed. Without an end the cause is gone at once.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
 from typing import Generic, NamedTuple, TypeVar, cast
@@ -25,6 +26,7 @@ from plant_server.faults.units import SIMPLE_UNITS, family_of, parts_of
 from plant_server.noise import Draw, open_uniforms
 
 NEVER = 1 << 62  # step of an edge that does not come
+FARTHEST = 1e15  # step of a time that no run comes to
 ORDER = {"end": 0, "cleared": 0, "onset": 1, "effect": 2}  # of events on one step
 K = TypeVar("K", bound=Effect)
 
@@ -53,6 +55,7 @@ class ListedFault(NamedTuple):
     fault: Fault
     state: str  # waiting, active, over
     had_effect: bool
+    tick: int  # the first on which it acts
 
 
 class Occurrence:
@@ -213,7 +216,7 @@ class FaultTimeline:
         An onset in the past takes effect now. Raises ConfigError when the fault is wrong, is already over, can have no
         effect, or has the id of another.
         """
-        name = f"command[{self._commanded}]" if fault.id is None else fault.id
+        name = self._find_name() if fault.id is None else fault.id
         problems = [f"fault{format_path(p.path)}: {p.message}" for p in fault.check(self._plant)]
         if any(item.id == name for item in self._all):
             problems.append(f'fault.id: "{name}" is the id of another fault of this run; ids are unique')
@@ -225,6 +228,11 @@ class FaultTimeline:
         self._commanded += 1
         self._enter(fault, name, step)
         return name
+
+    def _find_name(self) -> str:
+        """Return the id of the next commanded fault that gives none."""
+        taken = {item.id for item in self._all}
+        return next(name for i in itertools.count(self._commanded) if (name := f"command[{i}]") not in taken)
 
     def clear(self, step: int, *, id: str | None = None, unit: str | None = None) -> tuple[str, ...]:
         """End faults before the integration step `step`: that of an id, those of a unit, all when neither is given.
@@ -297,6 +305,7 @@ class FaultTimeline:
                 item.fault,
                 "over" if item.off <= step else "active" if item.on <= step else "waiting",
                 item.had_effect,
+                item.on // self._steps_per_tick,
             )
             for item in self._all
         )
@@ -350,7 +359,7 @@ class FaultTimeline:
             self._expect(item.off, "end", item)
 
     def _count_steps(self, time_s: float) -> int:
-        return math.ceil(time_s / self._step_s - 1e-6)
+        return math.ceil(min(time_s / self._step_s, FARTHEST) - 1e-6)
 
     def _round_to_tick(self, step: int) -> int:
         n = self._steps_per_tick
