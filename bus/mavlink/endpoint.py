@@ -28,6 +28,7 @@ class Endpoint:
         self.path = path
         self.counters = LinkCounters()
         self._packets = Packets(system, component, self.counters)
+        self._sequence: dict[str, int] = {}  # next number, by receiver; forgotten with it
         if len(os.fsencode(path)) > LONGEST_PATH:
             raise UsageError(
                 f"{path}: too long for a socket's name ({LONGEST_PATH} bytes); set TMPDIR to a shorter directory"
@@ -56,22 +57,28 @@ class Endpoint:
 
     def send(self, message: Message, to: str) -> bool:
         """Send a message; False, and counted, when it could not be taken at once or nobody is there."""
-        return self.send_packet(self._packets.write(message), to)
+        if self.try_send(message, to):
+            return True
+        self._sequence[to] = (self._sequence[to] + 1) % 256  # the receiver sees that one is missing
+        self.counters.dropped += 1
+        return False
 
-    def send_to_all(self, message: Message, addresses: list[str]) -> None:
-        """Send a message, one packet of one sequence number, to each of them."""
-        if addresses:
-            packet = self._packets.write(message)
-            for address in addresses:
-                self.send_packet(packet, address)
+    def try_send(self, message: Message, to: str) -> bool:
+        """Send a message; False when the receiver has no room now. One that nobody is there for is dropped, and counted.
 
-    def send_packet(self, packet: bytes, to: str) -> bool:
-        """Send a packet as it is."""
+        Sequence numbers count by receiver: each sees all of its own.
+        """
+        sequence = self._sequence.setdefault(to, 0)
         try:
-            self._socket.sendto(packet, to)
+            self._socket.sendto(self._packets.write(message, sequence), to)
+        except BlockingIOError:
+            return False
         except (OSError, ValueError):
             self.counters.dropped += 1
-            return False
+            self._sequence.pop(to)
+            return True
+        self._sequence[to] = (sequence + 1) % 256
+        self.counters.sent += 1
         return True
 
     def fileno(self) -> int:

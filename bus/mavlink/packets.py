@@ -1,4 +1,4 @@
-"""Datagrams to messages and back. Whatever comes in, nothing is raised: what is no message is counted by what is wrong with it."""
+"""Datagrams to messages and back. Nothing that comes in raises: what is no message is counted by what is wrong with it."""
 
 from __future__ import annotations
 
@@ -51,12 +51,11 @@ class Packets:
             at += size
         return messages
 
-    def write(self, message: Message) -> bytes:
-        """Return the packet of a message, with the next sequence number."""
+    def write(self, message: Message, sequence: int) -> bytes:
+        """Return the packet of a message with this sequence number, 0..255."""
         protocol = self._protocol
+        protocol.seq = sequence
         packet: bytes = message.pack(protocol)
-        protocol.seq = (protocol.seq + 1) % 256
-        self.counters.sent += 1
         return packet
 
     def _decode(self, packet: bytes) -> Message | None:

@@ -1,4 +1,4 @@
-"""The numbers of MAVLink that are in use here, by their names in common.xml. A dialect's own enumerations age; raw numbers do not."""
+"""The numbers of MAVLink that are in use here, as common.xml has them. Enumerations of libraries age; numbers do not."""
 
 from __future__ import annotations
 

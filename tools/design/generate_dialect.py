@@ -1,4 +1,4 @@
-"""Writes bus/mavlink/dialect.py from bus/mavlink/hilsat.xml with pymavlink's generator: `python -P -m tools.design.generate_dialect`."""
+"""Writes bus/mavlink/dialect.py from hilsat.xml beside it, by pymavlink: `python -P -m tools.design.generate_dialect`."""
 
 from __future__ import annotations
 
