@@ -43,7 +43,7 @@ def find_plant(wanted: Path | None = None) -> FoundBench:
     if wanted is not None:
         return _check(_find_wanted(wanted))
     found = [bench for bench in list_benches() if bench.about.side != "fsw"]
-    willing = [bench for bench in found if bench.about.plant is not None]
+    willing = [bench for bench in found if bench.about.plant is not None and bench.about.inject == "allowed"]
     if len(willing) == 1:
         return _check(willing[0])
     if willing:

@@ -99,10 +99,16 @@ class PlantClient:
                 sendings += all(self._endpoint.send(message, self._plant) for message in messages)
                 resend_s = now_s + (RESEND_AFTER * (limit_s or 1.0) if sendings else LOOK_S)
             self._collect(waiting, token, LOOK_S if limit_s is None else min(LOOK_S, begun_s + limit_s - now_s))
-            if number not in waiting and os.path.lexists(self._plant) and not listens(self._plant):
-                raise BenchGone("the bench has ended")
-            if number not in waiting and number and not os.path.lexists(self._plant):
-                raise BenchGone("the bench has ended")
+            if number not in waiting and self._has_ended(first=bool(messages)):
+                self._collect(waiting, token, 0.0)  # its last words
+                if number not in waiting:
+                    raise BenchGone("the bench has ended")
+
+    def _has_ended(self, first: bool) -> bool:
+        """Return whether nobody is there any more. A bench that has not answered yet may be about to make its socket."""
+        if not os.path.lexists(self._plant):
+            return not first or not os.path.lexists(os.path.dirname(self._plant))
+        return not listens(self._plant)
 
     def _collect(self, waiting: dict[int, Reply], token: int, wait_s: float) -> None:
         select.select([self._endpoint], [], [], max(0.0, wait_s))
