@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from bus.errors import ConfigError, RecordError
-from plant_server.faults import Fault, fault_ids, make_fault
+from plant_server.faults import Fault, fault_ids, make_fault, parts_of
 from plant_server.faults.profiles import FixedProfile
 from tools.config.scenario import Resolved
 from tools.config.yaml_nodes import write_yaml
@@ -128,8 +128,8 @@ def _note_unknown(log: Run, told: list[_Told], result: ExportedFaults) -> None:
         match = ADDED.fullmatch(event["message"]) if event["name"] == "plant" else None
         if match and match[2] not in known:
             result.notes.append(f"{match[2]}: left out, it had not begun when the run ended")
-            alike = match[2].rpartition(": ")[2].split(" ")[:2]
-            _check_streams(alike, int(match[1]), told, result)
+            unit, kind = [*match[2].rpartition(": ")[2].split(" "), ""][:2]
+            _check_streams(unit, kind, [item for item in told if item.applied_tick >= int(match[1])], result)
 
 
 def _put(item: _Told, times: _Times, result: ExportedFaults, gone: list[_Told]) -> None:
@@ -160,13 +160,16 @@ def _name_all(result: ExportedFaults, told: list[_Told], gone: list[_Told]) -> N
     result.faults = [{"id": item.id} | keys for item, keys in zip(kept, result.faults, strict=True)]
     for item in gone:
         later = told[told.index(item) + 1 :]
-        _check_streams([item.fault.unit, item.fault.kind], -1, [other for other in later if other in kept], result)
+        _check_streams(item.fault.unit, item.fault.kind, [other for other in later if other in kept], result)
 
 
-def _check_streams(alike: list[str], from_tick: int, told: list[_Told], result: ExportedFaults) -> None:
-    for item in told:
-        by_chance = item.fault.effect.draws or not isinstance(item.fault.profile, FixedProfile)
-        if [item.fault.unit, item.fault.kind] == alike and by_chance and item.applied_tick >= max(from_tick, 0):
-            text = f"{item.id}: it draws other random numbers, for one {' '.join(alike)} before it is left out"
+def _check_streams(unit: str, kind: str, later: list[_Told], result: ExportedFaults) -> None:
+    """Name the faults whose random numbers are others for want of one of this unit and kind before them."""
+    parts = set(parts_of(unit))
+    for item in later:
+        fault = item.fault
+        by_chance = fault.effect.draws or not isinstance(fault.profile, FixedProfile)
+        if by_chance and fault.kind == kind and parts & set(parts_of(fault.unit)):
+            text = f"{item.id}: it draws other random numbers, for a {unit} {kind} before it is left out"
             if text not in result.inexact:
                 result.inexact.append(text)
