@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bus.errors import UsageError
+from tools.ground.counters import describe_counters
 from tools.ground.key import read_key
 from tools.ground.links import LinkAddress, parse_link
 from tools.run.children import Process, start, stop
@@ -57,7 +58,7 @@ def plan_gateway(addresses: Sequence[str], key: Path | None) -> Iterator[Gateway
 
 
 def end_gateway(process: Process) -> list[str]:
-    """End the gateway; return what there is to say of one that had ended before, else nothing."""
+    """End the gateway; return what there is to say: that it had ended before, and what it refused."""
     notes = []
     if process.code is not None:
         words = process.words()
@@ -65,4 +66,4 @@ def end_gateway(process: Process) -> list[str]:
             f"{process.fate()} before the run was over; the run went on without it" + f": {words}" * bool(words)
         )
     stop([process])
-    return notes
+    return notes + describe_counters(process.stderr_path.parent)

@@ -96,7 +96,8 @@ class PlantClient:
                 raise BenchGone(f"no answer from the bench within {limit_s:g} s; it is busy or does not move")
             if resend_s is not None and now_s >= resend_s and sendings < 2:
                 # A plant that is not up yet, or whose queue is full, has not got it: that was no sending.
-                sendings += all(self._endpoint.send(message, self._plant) for message in messages)
+                there = listens(self._plant)
+                sendings += there and all(self._endpoint.send(message, self._plant) for message in messages)
                 resend_s = now_s + (RESEND_AFTER * (limit_s or 1.0) if sendings else LOOK_S)
             self._collect(waiting, token, LOOK_S if limit_s is None else min(LOOK_S, begun_s + limit_s - now_s))
             if number not in waiting and self._has_ended(first=bool(messages)):
