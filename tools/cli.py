@@ -23,6 +23,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "run": ("tools.verbs.run", "run a scenario: plant, flight software, log, grade, picture"),
     "check": ("tools.verbs.check", "validate scenario files without running them"),
     "grade": ("tools.verbs.grade", "grade a log against the scenario it carries"),
+    "info": ("tools.verbs.info", "what a log holds and how its run ended, on one screen"),
     "replay": ("tools.verbs.replay", "fly a log's flight software again and compare it bit for bit"),
     "plot": ("tools.verbs.plot", "draw a log as PNG"),
     "shootout": ("tools.verbs.shootout", "fly every law with every allocator through the same faults, one table"),
