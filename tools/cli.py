@@ -26,6 +26,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "info": ("tools.verbs.info", "what a log holds and how its run ended, on one screen"),
     "replay": ("tools.verbs.replay", "fly a log's flight software again and compare it bit for bit"),
     "verify": ("tools.verbs.verify", "whether this machine repeats a run to the byte"),
+    "report": ("tools.verbs.report", "one HTML page about one or more logs: verdicts, margins, pictures"),
     "plot": ("tools.verbs.plot", "draw a log as PNG"),
     "shootout": ("tools.verbs.shootout", "fly every law with every allocator through the same faults, one table"),
     "bench": ("tools.verbs.bench", "measure what a cycle costs on this machine"),
