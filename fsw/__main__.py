@@ -19,7 +19,6 @@ from bus.wire.transport import Transport
 from fsw.config import FswConfig
 from fsw.executive import Executive, Watchdog
 from fsw.flight import Flight
-from fsw.ground import open_ground
 from fsw.guidance.timeline import make_command
 from fsw.handshake import meet_plant
 from fsw.node import FswNode
@@ -55,6 +54,8 @@ def _fly(config: FswFile, telemetry_fd: int | None, progress_fd: int | None) -> 
     node = FswNode(flight, link, run.tick_ns, SystemClock(), timeline)
     with contextlib.ExitStack() as stack:
         if config.ground is not None:
+            from fsw.ground import open_ground  # a run without it is not to wait for the dialect
+
             stack.callback(open_ground(node, config.ground, SystemClock()).close)
         transport = open_transport(run.bus.address, node="fsw", bitrate_bps=run.bus.bitrate_bps)
         stack.enter_context(last_word(

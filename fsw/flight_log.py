@@ -12,17 +12,19 @@ from bus.telemetry.link import Link, Row, TickPacker, announce_topics, pack_inpu
 from bus.wheels import ACTIONS, CLEAR_LATCH
 from fsw.flight import Flight
 from fsw.modes import Mode
-from fsw.records import ALL_AXES, ALL_WHEELS, NO_KIND, NO_WHEEL, Detection, Flags4, WheelHealth
+from fsw.records import NO_KIND, NO_WHEEL, Detection, Flags4, WheelHealth
 from fsw.telemetry import (
     CONTROL_TOPICS,
     FIRST_CHANNEL,
     INPUT_CHANNEL,
     INPUT_TOPIC,
+    LINK_HEALTH,
     TICK_TOPICS,
     flatten,
     make_diagnostics,
     read_control,
     read_internals,
+    read_link_health,
     read_tick,
 )
 from fsw.wheel_kinds import BIAS, DRIVER_GAIN, FRICTION, NONE, TORQUE_GAIN, UNKNOWN, WORDS
@@ -34,6 +36,7 @@ SAFE_ASKED: Final = 1  # flags of /fsw/input
 SHEDDING: Final = 2
 ALARM: Final = 2  # states of a gyro axis from here on: the axis is not used as it is
 SOUND_GYRO = (0, 0, 0)
+LINK_CHANNEL: Final = 150
 WAIT_S: Final = 1.0  # a mode that waits for longer says for what
 
 
@@ -50,8 +53,6 @@ class FlightLog:
         self._kinds, self._available, self._dither = NO_KIND, flight.vehicle.fitted, 0
         self._dead = NO_WHEEL
         self._gyro_state = SOUND_GYRO
-        self._gyro_heard, self._star_heard, self._star_lost = ALL_AXES, False, False
-        self._wheels_heard: Flags4 = ALL_WHEELS
         self._waited_for, self._since_tick, self._said = "", 0, False
         self._every_tick = TickPacker(TICK_TOPICS, FIRST_CHANNEL)
         self._on_control = TickPacker(CONTROL_TOPICS, FIRST_CHANNEL + len(TICK_TOPICS))
@@ -62,6 +63,8 @@ class FlightLog:
         if diagnostics:
             packers.append(TickPacker(diagnostics, FIRST_CHANNEL + len(TICK_TOPICS) + len(CONTROL_TOPICS)))
         self._diagnostics = packers[2] if diagnostics else None
+        self._links = TickPacker([LINK_HEALTH], LINK_CHANNEL)
+        packers.append(self._links)
         link.announce(announce_topics(packers, inputs={INPUT_CHANNEL: INPUT_TOPIC}), self.pack_rows)
         for words in flight.cautions:
             link.event(0, "warning", "fsw", words)
@@ -73,12 +76,17 @@ class FlightLog:
         """
         flight, link = self._flight, self.link
         t_ns = tick * self._tick_ns
+        links = None
         self._say_mode(tick, t_ns)
         if flight.outputs.requests_sent != self._requests_said:
             self._say_request(t_ns)
         if flight.control_ran:
             self._say_rivals(t_ns)
-            self._say_sensors(t_ns)
+            if flight.detection.gyro_state != self._gyro_state:
+                self._say_gyro(flight.detection, t_ns)
+            if flight.inputs.watch.is_troubled:
+                links = read_link_health(flight)
+                self._say_links()
             health = flight.health
             if health.kind != self._kinds or health.available != self._available or health.dither != self._dither:
                 self._say_wheels(health, t_ns)
@@ -95,13 +103,13 @@ class FlightLog:
             head = stamp(tick, t_ns)
             known = self._pack_known(head)
             link.write_row((
-                tick, t_ns, self._pack(known, head, counters.slips, flags, text, frames, control, diagnostics)
+                tick, t_ns, self._pack(known, head, counters.slips, flags, text, frames, control, diagnostics, links)
             ))  # fmt: skip
         else:
             link.write_row((
                 tick, t_ns, counters.slips, flags, text, frames, read_tick(flight),
                 counters.last_cycle_ns, counters.max_cycle_ns, counters.last_lateness_ns, link.dropped, control,
-                diagnostics,
+                diagnostics, links,
             ))  # fmt: skip
 
     def pack_rows(self, rows: list[Row]) -> list[bytes]:
@@ -111,11 +119,11 @@ class FlightLog:
         pack_known, records = self._every_tick.pack_stamped, []
         for (
             tick, t_ns, slips, flags, commands, frames, known, cycle_ns, max_cycle_ns, lateness_ns, dropped, control,
-            diagnostics,
+            diagnostics, links,
         ) in rows:  # fmt: skip
             head = stamp(tick, t_ns)
             data = pack_known(head, (*known, cycle_ns * 1e-3, max_cycle_ns * 1e-3, lateness_ns * 1e-3, dropped))
-            records.append(self._pack(data, head, slips, flags, commands, frames, control, diagnostics))
+            records.append(self._pack(data, head, slips, flags, commands, frames, control, diagnostics, links))
         return records
 
     def _pack_known(self, head: bytes) -> bytes:
@@ -124,7 +132,7 @@ class FlightLog:
 
     def _pack(
         self, known: bytes, head: bytes, slips: int, flags: int, commands: str, frames: bytes,
-        control: tuple[Any, ...] | None, diagnostics: tuple[Any, ...] | None,
+        control: tuple[Any, ...] | None, diagnostics: tuple[Any, ...] | None, links: tuple[Any, ...] | None,
     ) -> bytes:  # fmt: skip
         """The records of a cycle: those of TICK_TOPICS, then what ran on it, then what it was given."""
         data = known
@@ -132,6 +140,8 @@ class FlightLog:
             data += self._on_control.pack_stamped(head, flatten(control))
         if diagnostics is not None and self._diagnostics is not None:
             data += self._diagnostics.pack_stamped(head, flatten(chain.from_iterable(diagnostics)))
+        if links is not None:
+            data += self._links.pack_stamped(head, flatten(links))
         return data + pack_input(INPUT_CHANNEL, head, slips, flags, commands, frames)
 
     def _say_rivals(self, t_ns: int) -> None:
@@ -142,33 +152,6 @@ class FlightLog:
                 if can_id not in self._rivals_said:
                     self._rivals_said.add(can_id)
                     self.link.event(t_ns, "warning", "fsw", f"two senders of 0x{can_id:03X} on the bus")
-
-    def _say_sensors(self, t_ns: int) -> None:
-        """A line for every sensor that falls silent or is heard again, and every axis of the gyro that is found wrong."""
-        sensors, detection = self._flight.inputs.sensors, self._flight.detection
-        if detection.gyro_state != self._gyro_state:
-            self._say_gyro(detection, t_ns)
-        if sensors.gyro_valid != self._gyro_heard:
-            self._say_silent(tuple(f"gyro.{axis}" for axis in "xyz"), self._gyro_heard, sensors.gyro_valid, t_ns)
-            self._gyro_heard = sensors.gyro_valid
-        heard = sensors.wheels_valid()
-        if heard != self._wheels_heard:
-            self._say_silent(("wheel.1", "wheel.2", "wheel.3", "wheel.4"), self._wheels_heard, heard, t_ns)
-            self._wheels_heard = heard
-        if sensors.star_valid != self._star_heard:
-            if not self._star_heard and self._star_lost:
-                self.link.event(t_ns, "info", "fsw", "star_tracker gives an attitude again")
-            elif self._star_heard:
-                self._star_lost = True
-                self.link.event(t_ns, "warning", "fsw", f"star_tracker: no attitude for {sensors.star_age_s:.1f} s")
-            self._star_heard = sensors.star_valid
-
-    def _say_silent(self, names: tuple[str, ...], before: tuple[bool, ...], now: tuple[bool, ...], t_ns: int) -> None:
-        for name, was, is_heard in zip(names, before, now, strict=True):
-            if was and not is_heard:
-                self.link.event(t_ns, "warning", "fsw", f"{name} is silent")
-            elif is_heard and not was:
-                self.link.event(t_ns, "info", "fsw", f"{name} is heard again")
 
     def _say_gyro(self, detection: Detection, t_ns: int) -> None:
         """A line for every axis that is found faulty, told what is wrong with it, or found well again."""
@@ -181,6 +164,11 @@ class FlightLog:
             elif before >= ALARM and state < ALARM:
                 self.link.event(t_ns, "info", "fsw", f"gyro.{axis}: no fault any more")
         self._gyro_state = detection.gyro_state
+
+    def _say_links(self) -> None:
+        """A line for every unit that falls silent or is heard again, every babbling id, and what the controller reports."""
+        for tick, level, words in self._flight.inputs.watch.take_lines():
+            self.link.event(tick * self._tick_ns, level, "fsw", words)
 
     def _say_request(self, t_ns: int) -> None:
         """A line for every request to a wheel."""
