@@ -33,8 +33,7 @@ class CanForward:
         self.on = False
         self.sent = 0
         self.left_out = 0  # frames that passed the filter and were too many
-        self._to = ""
-        self._system = self._component = 0
+        self._to = ("", 0, 0)  # address, system and component of who asked
         self._until_ns = self._filled_ns = 0
         self._room = float(BURST)
         self._wanted: set[int] = set()  # ids; none: all
@@ -49,7 +48,9 @@ class CanForward:
             return
         self._room = min(float(BURST), self._room + (now_ns - self._filled_ns) * (FRAMES_A_S * 1e-9))
         self._filled_ns = now_ns
-        left, to, wanted = min(FRAMES_A_TICK, int(self._room)), self._to, self._wanted
+        left, wanted = min(FRAMES_A_TICK, int(self._room)), self._wanted
+        address, system, component = self._to
+        messages = []
         for can_id, length, data in FRAME.iter_unpack(frames + answer):
             if wanted and can_id not in wanted:
                 continue
@@ -57,28 +58,27 @@ class CanForward:
                 self.left_out += 1
                 continue
             left -= 1
-            self._room -= 1.0
-            message = MAVLink_can_frame_message(self._system, self._component, 0, min(length, 8), can_id, list(data))
-            if self._endpoint.send(message, to):
-                self.sent += 1
+            messages.append(MAVLink_can_frame_message(system, component, 0, min(length, 8), can_id, list(data)))
+        self._room -= len(messages)
+        if messages and self._endpoint.send_together(messages, address):
+            self.sent += len(messages)
 
     def _start(self, request: CommandRequest) -> int:
-        bus = request.whole(1, -1)
+        bus, asker = request.whole(1, -1), (request.address, request.system, request.component)
         if bus == 0:
-            if self.on and request.address == self._to:
+            if self.on and asker == self._to:
                 self._stop("asked to")
             return words.ACCEPTED
         if bus is None or not 1 <= bus <= BUSES or not request.address:
             self._say("warning", f"CAN forward refused: there is bus 1 to {BUSES}, and 0 to stop")
             return words.DENIED
         now_ns = self._clock.now_ns()
-        if not self.on or self._to != request.address:
+        if not self.on or self._to != asker:
             self.sent = self.left_out = 0
             self._wanted = set()
             self._filled_ns = now_ns
             self._room = float(BURST)
-        self.on, self._to = True, request.address
-        self._system, self._component = request.system, request.component
+        self.on, self._to = True, asker
         self._until_ns = now_ns + LAST_NS
         return words.ACCEPTED
 
@@ -88,7 +88,7 @@ class CanForward:
 
     def _modify(self, message: Message, address: str) -> None:
         """Change which ids are forwarded; a filter with no id in it lets all pass."""
-        if not self.on or address != self._to:
+        if not self.on or (address, message.get_srcSystem(), message.get_srcComponent()) != self._to:
             return
         ids = set(message.ids[: min(message.num_ids, 16)])
         if message.operation == REPLACE:
