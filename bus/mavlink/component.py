@@ -200,15 +200,18 @@ class Component:
         """Whether anybody is there to hear a stream or a text."""
         return bool(self._addresses)
 
-    def say(self, severity: int, text: str) -> None:
-        """Send a STATUSTEXT to every listener, in as many parts as it takes."""
+    def say(self, severity: int, text: str, also: str = "") -> None:
+        """Send a STATUSTEXT to every listener, and to an address besides, in as many parts as it takes."""
         raw = text.encode("utf-8", "replace")
         parts = [raw[i : i + TEXT_SIZE] for i in range(0, len(raw), TEXT_SIZE)] or [b""]
         number = 0
         if len(parts) > 1:
             self._text_id = number = self._text_id % 65535 + 1
         for i, part in enumerate(parts[:255]):
-            self.broadcast(MAVLink_statustext_message(severity, part, number, i))
+            message = MAVLink_statustext_message(severity, part, number, i)
+            self.broadcast(message)
+            if also and also not in self._listeners:
+                self.send_later(message, also)
 
     def broadcast(self, message: Message) -> None:
         """Send a message to every listener."""
@@ -387,7 +390,7 @@ class Component:
         error, why = _try_write(item, value)
         if error:
             self._refuse_parameter(message, name, index, error, address)
-            self.say(words.WARNING, f"{name} not set: {why}")
+            self.say(words.WARNING, f"{name} not set: {why}", address)
         self.send_later(self._make_value(index), address)
 
     def _refuse_parameter(self, message: Message, name: str, index: int, error: int, address: str) -> None:
