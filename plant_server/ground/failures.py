@@ -97,7 +97,7 @@ class Failure:
     """What one pair of unit and type stands for."""
 
     unit: int
-    type: int
+    failure: int
     effect: type[Effect]
     magnitudes: dict[str, float | str]
 

@@ -289,7 +289,7 @@ def test_a_fault_of_all_axes_is_not_cleared_on_one_of_them() -> None:
 
 
 def test_a_failure_takes_the_place_of_the_one_before_it() -> None:
-    """Of the same unit and instance and by this command: a motor is stuck or weak, not both; a fault of the scenario stays."""
+    """Of the same unit and instance and by this command: a motor is stuck or weak, not both; all other faults stay."""
     with link(overrides=("faults=[{unit: wheel.1, kind: bias_torque, at_s: 0}]",)) as end:
         for params in ((101, 4, 1), (101, 2, 1), (106, 1, 1), (101, 2, 1)):
             assert end.inject(*params)[0] == [ACCEPTED]
