@@ -6,6 +6,7 @@ Time is a clock of the test's own; packets are packed and decoded by the stock d
 from __future__ import annotations
 
 import inspect
+import itertools
 import math
 import os
 import socket
@@ -204,7 +205,7 @@ def test_a_heartbeat_a_second_of_wall_time_while_the_loop_turns(rig: Rig) -> Non
             rig.beat()
         if "HEARTBEAT" in kinds(rig.poll()):
             times.append(rig.clock.ns)
-    assert [later - sooner for sooner, later in zip(times, times[1:], strict=False)] == [SECOND] * 4
+    assert [later - sooner for sooner, later in itertools.pairwise(times)] == [SECOND] * 4
     rig.clock.ns += 8 * SECOND
     assert rig.hear() == []
     assert kinds(rig.poll(3)).count("HEARTBEAT") == 1
