@@ -52,7 +52,7 @@ def _serve(config: PlantFile, telemetry_fd: int | None, progress: Progress) -> N
     plant = Plant(config.plant, config.faults, run.tick_ns * 1e-9, run.seed)
     link = TelemetryLink(telemetry_fd, SOURCE, blocking=run.clock.mode != "realtime")
     stamped = run.bus.address.startswith("socketcan:")
-    node = PlantNode(plant, link, run.tick_ns, run.run_hash, stamped=stamped)
+    node = PlantNode(plant, link, run.tick_ns, run.run_hash, stamped=stamped, bus=run.bus)
     transport = open_transport(run.bus.address, node="plant", host=True, bitrate_bps=run.bus.bitrate_bps)
     with last_word(
         "plant", transport, link, progress,

@@ -23,10 +23,14 @@ VERBS: dict[str, tuple[str, str]] = {
     "run": ("tools.verbs.run", "run a scenario: plant, flight software, log, grade, picture"),
     "check": ("tools.verbs.check", "validate scenario files without running them"),
     "grade": ("tools.verbs.grade", "grade a log against the scenario it carries"),
+    "info": ("tools.verbs.info", "what a log holds and how its run ended, on one screen"),
     "replay": ("tools.verbs.replay", "fly a log's flight software again and compare it bit for bit"),
+    "verify": ("tools.verbs.verify", "whether this machine repeats a run to the byte"),
+    "report": ("tools.verbs.report", "one HTML page about one or more logs: verdicts, margins, pictures"),
     "plot": ("tools.verbs.plot", "draw a log as PNG"),
     "shootout": ("tools.verbs.shootout", "fly every law with every allocator through the same faults, one table"),
     "bench": ("tools.verbs.bench", "measure what a cycle costs on this machine"),
+    "inject": ("tools.verbs.inject", "break and heal units of a bench that runs, keep it as a scenario"),
     "plant": ("tools.verbs.sides", "run the plant alone, on a bus"),
     "fsw": ("tools.verbs.sides", "run the flight software alone, on a bus"),
     "recover": ("tools.verbs.logs", "make a killed run's log whole"),
@@ -65,7 +69,7 @@ def main(argv: list[str] | None = None) -> int:
 
 def _run_verb(words: list[str]) -> int:
     try:
-        args = _make_parser(words).parse_args(words)
+        args = _make_parser(words).parse_args(_expand(words))
         if args.debug:
             os.environ[PLACE] = "-"  # for the processes of a run too
         return int(args.func(args))
@@ -99,6 +103,15 @@ def _make_parser(words: list[str]) -> argparse.ArgumentParser:
         for verb, (_, summary) in VERBS.items():
             subparsers.add_parser(verb, help=summary)
     return parser
+
+
+def _expand(words: list[str]) -> list[str]:
+    """The words, those behind a verb that has short forms spelt out."""
+    at = next((i for i, word in enumerate(words) if not word.startswith("-")), None)
+    if at is None or words[at] not in VERBS:
+        return words
+    expand = getattr(importlib.import_module(VERBS[words[at]][0]), "expand", None)
+    return words if expand is None else [*words[: at + 1], *expand(words[at + 1 :])]
 
 
 class _Version(argparse.Action):

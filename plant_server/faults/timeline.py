@@ -18,6 +18,7 @@ from collections.abc import Callable
 from typing import Generic, NamedTuple, TypeVar, cast
 
 from bus.errors import ConfigError
+from bus.settings import Problem
 from plant_server.config import PlantConfig
 from plant_server.faults.effects import Acting, Effect
 from plant_server.faults.fault import Fault, check_faults, fault_ids
@@ -107,7 +108,7 @@ class ActiveFault(Generic[K]):
         self._find_level = occurrence.find_level
         self._heal = heal
         self._is_new = True
-        self._goes_on = draw is not None or self.effect.remembers  # something happens with every step or sample
+        self._goes_on = self.effect.draws > 0 or self.effect.remembers  # something happens with every step or sample
 
     def bring_to(self, t_s: float, speed_rad_s: float = 0.0) -> None:
         """Bring what the effect is told to the time t_s; random numbers are drawn when that is another than the last.
@@ -134,6 +135,11 @@ class ActiveFault(Generic[K]):
             why = effect.follow(now, passed_s)
             if why is not None:
                 self._heal(self.occurrence, now.t_s, why)
+
+    def draw_each(self) -> None:
+        """Draw the random numbers of one more frame."""
+        if self._draw is not None and self.effect.draws_each:
+            self.now.drawn = tuple([self._draw() for _ in range(self.effect.draws_each)])
 
     def is_settled(self) -> bool:
         """Return whether what it does stays what it is."""
@@ -193,7 +199,13 @@ class FaultTimeline:
         seed: int,
         plant: PlantConfig | None = None,
     ) -> None:
+        self._tick_s = step_s * steps_per_tick
         problems = check_faults(faults, plant)
+        problems += [
+            Problem((i, "kind"), word)
+            for i, fault in enumerate(faults)
+            if (word := fault.effect.explain_short(self._tick_s)) is not None
+        ]
         if problems:
             raise ConfigError(*(f"faults{format_path(p.path)}: {p.message}" for p in problems))
         self.chains: dict[str, FaultChain[Effect]] = {unit: FaultChain() for unit in SIMPLE_UNITS}
@@ -225,6 +237,8 @@ class FaultTimeline:
         """Return the id that a fault would get if it were added before the step; raises ConfigError as `add` does."""
         name = self._find_name() if fault.id is None else fault.id
         problems = [f"fault{format_path(p.path)}: {p.message}" for p in fault.check(self._plant)]
+        if (word := fault.effect.explain_short(self._tick_s)) is not None:
+            problems.append(f"fault.kind: {word}")
         if any(item.id == name for item in self._all):
             problems.append(f'fault.id: "{name}" is the id of another fault of this run; ids are unique')
         if not problems and fault.until_s is not None and self._count_steps(fault.until_s) <= step:
@@ -357,7 +371,7 @@ class FaultTimeline:
             chain = self.chains[unit]
             order = sum(entry.effect.kind == fault.kind for entry in chain.entries)
             stream = f"fault/{unit}/{fault.kind}/{order}"
-            draw = open_uniforms(self._seed, stream) if fault.effect.draws else None
+            draw = open_uniforms(self._seed, stream) if fault.effect.draws or fault.effect.draws_each else None
             chain.add(ActiveFault(item, draw, self._heal))
         self._expect(on, "onset", item)
         if item.off < NEVER:

@@ -6,9 +6,9 @@ import json
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
-from bus.run import BusConfig, ClockConfig, Seed, run_hash
+from bus.run import BusConfig, ClockConfig, GroundConfig, Seed, run_hash
 from bus.settings import plain
 from bus.texts import Line, Name, Prose
 from bus.units import Gt, Seconds
@@ -30,6 +30,7 @@ class Scenario:
     duration_s: Annotated[Seconds, Gt(0)]  # simulated time, whole ticks
     clock: ClockConfig = field(default_factory=ClockConfig)
     bus: BusConfig = field(default_factory=BusConfig)
+    inject: Literal["off", "allowed"] = "off"  # whether a running bench takes faults from `hilsat inject`
     plant: PlantConfig
     faults: tuple[Fault, ...] = ()  # each must take effect, or the run fails
     fsw: FswConfig
@@ -84,18 +85,23 @@ class Resolved:
             "run_hash": self.run_hash,
         }
 
-    def plant_json(self, address: str | None = None) -> str:
-        """What the plant's process gets: run, plant, faults."""
+    def plant_json(self, address: str | None = None, ground: GroundConfig | None = None) -> str:
+        """What the plant's process gets: run, plant, faults, and its socket for MAVLink where it has one."""
         part = {
             "run": self.run_dict(address),
             "plant": plain(self.scenario.plant),
             "faults": plain(self.scenario.faults),
         }
-        return json.dumps(part, allow_nan=False)
+        return json.dumps(part | _name_ground(ground), allow_nan=False)
 
-    def fsw_json(self, address: str | None = None) -> str:
+    def fsw_json(self, address: str | None = None, ground: GroundConfig | None = None) -> str:
         """What the flight software's process gets: run and fsw; nothing of plant or faults."""
-        return json.dumps({"run": self.run_dict(address), "fsw": plain(self.scenario.fsw)}, allow_nan=False)
+        part = {"run": self.run_dict(address), "fsw": plain(self.scenario.fsw)}
+        return json.dumps(part | _name_ground(ground), allow_nan=False)
+
+
+def _name_ground(ground: GroundConfig | None) -> dict[str, Any]:
+    return {} if ground is None else {"ground": plain(ground)}
 
 
 @lru_cache(maxsize=64)

@@ -15,6 +15,8 @@ It is what `--clock inprocess` runs, and what tests, studies and campaigns use.
 from __future__ import annotations
 
 import contextlib
+import dataclasses
+import importlib
 import os
 import weakref
 from collections.abc import Callable, Sequence
@@ -47,6 +49,7 @@ from tools.log.mcap_reader import Run, read_run
 from tools.log.recorder import Recorder
 from tools.run.bench_signals import read_signal
 from tools.run.provenance import describe_run, list_attachments
+from tools.run.run_file import describe_bench, ground_of, write_run_file
 
 ORIGIN = "bench"
 
@@ -60,11 +63,13 @@ class Bench:
         plant_link: Link | None = None,
         fsw_link: Link | None = None,
         log: Path | Literal["memory"] | None = None,
+        ground_dir: Path | None = None,
     ) -> None:
         """Put both sides at tick 0.
 
         plant_link, fsw_link : where telemetry goes; None: to the log, or nowhere
         log                  : a file that does not exist yet, "memory", or None
+        ground_dir           : a private directory for the sockets of both sides, which speak MAVLink; None: no sockets
         Raises ConfigError where the scenario cannot be flown, RecordError where the log cannot be written, UsageError
         for a compiled build that is stale.
         """
@@ -84,19 +89,25 @@ class Bench:
             plant_link or TelemetryLink(None, PLANT_SOURCE, False),
             fsw_link or TelemetryLink(None, FSW_SOURCE, False),
         ]
-        self.plant_node = PlantNode(plant, self._links[0], self.tick_ns, resolved.run_hash)
+        bus = dataclasses.replace(scenario.bus, address="memory:")  # whatever it is, no frame leaves this process
+        self.plant_node = PlantNode(plant, self._links[0], self.tick_ns, resolved.run_hash, bus=bus)
         timeline = [make_command(entry, tick_s) for entry in scenario.fsw.timeline]
         self.fsw_node = FswNode(self.flight, self._links[1], self.tick_ns, SystemClock(), timeline)
+        self._grounds = self._open_grounds(ground_dir, log)
         self._answer = b""
         self._closed = False
         self._accept: Accept = self.plant_node.channel.accept
 
     @classmethod
     def open(
-        cls, scenario: str | Path, overrides: Sequence[str] = (), log: Path | Literal["memory"] | None = None
+        cls,
+        scenario: str | Path,
+        overrides: Sequence[str] = (),
+        log: Path | Literal["memory"] | None = None,
+        ground_dir: Path | None = None,
     ) -> Self:
         """A bench for a scenario file or the name of one that ships, with `key.path=value` overrides applied."""
-        return cls(load_scenario(find_scenario(str(scenario)), overrides), log=log)
+        return cls(load_scenario(find_scenario(str(scenario)), overrides), log=log, ground_dir=ground_dir)
 
     # -- moving ----------------------------------------------------------------------------------------------------
 
@@ -198,7 +209,9 @@ class Bench:
         return read_run(self._log_path)
 
     def close(self, reason: str = "closed") -> None:
-        """Finish the log. Harmless when repeated, and for a bench without one."""
+        """Finish the log, and close the sockets. Harmless when repeated, and for a bench without them."""
+        for ground in self._grounds:
+            ground.close()
         for link in self._links:
             with contextlib.suppress(RecordError):
                 link.close(reason)
@@ -215,6 +228,22 @@ class Bench:
             log = Path(f"/proc/self/fd/{fd}")
         attachments = list_attachments(self.resolved)
         return log, Recorder(log, metadata=describe_run(self.resolved, "in process"), attachments=attachments)
+
+    def _open_grounds(self, directory: Path | None, log: Path | Literal["memory"] | None) -> list[Any]:
+        """The sockets of both sides, and the file by which they are found."""
+        if directory is None:
+            return []
+        out = log.parent if isinstance(log, Path) else None
+        bench = describe_bench(self.resolved, directory.absolute(), address="in process", out=out, linked=True)
+        grounds = []
+        for room, node, socket in (
+            ("plant_server.ground", self.plant_node, bench.plant),
+            ("fsw.ground", self.fsw_node, bench.fsw),
+        ):
+            open_ground = importlib.import_module(room).open_ground
+            grounds.append(open_ground(node, ground_of(bench, socket), SystemClock()))
+        write_run_file(directory, bench)
+        return grounds
 
     def __enter__(self) -> Self:
         return self

@@ -22,9 +22,11 @@ from typing import Any
 from bus.errors import RecordError
 from bus.process import Interrupted, name_signal, raise_signals
 from tools.config.scenario import Resolved
+from tools.ground.launch import GatewayPlan, end_gateway
 from tools.run.children import Process, make_pipe, memory_mb, share_processor, start, stop
 from tools.run.directory import LOG, keep_words
 from tools.run.provenance import describe_run, list_attachments
+from tools.run.run_file import PREFIX, RunFile, describe_bench, ground_of, write_run_file
 from tools.run.watch import LOST, RECORDER_PATIENCE_S, START_S, STILL_S, Failure, Watch
 
 POLL_S = 0.1
@@ -43,23 +45,30 @@ class RunReport:
     first_cycle_s: float | None = None  # wall time from the start of the run to its first tick
     memory_mb: dict[str, float] = field(default_factory=dict)  # peak, per process
     details: dict[str, Any] = field(default_factory=dict)  # what the plant reported of itself
+    notes: list[str] = field(default_factory=list)  # what went wrong beside the run and did not end it, in words
 
 
-def run_processes(resolved: Resolved, out_dir: Path, on_progress: Callable[[int], None]) -> RunReport:
-    """Run the scenario in three processes and return how it ended. Raises RecordError without a temporary directory."""
+def run_processes(
+    resolved: Resolved, out_dir: Path, on_progress: Callable[[int], None], gateway: GatewayPlan | None = None
+) -> RunReport:
+    """Run the scenario in three processes and return how it ended. Raises RecordError without a temporary directory.
+
+    gateway : the links to ground stations, another process; None: no gateway
+    """
     out_dir.mkdir(parents=True, exist_ok=True)
     with raise_signals(), make_private() as private:
         address = resolved.scenario.bus.address
         if address == "hub:":
             address = f"hub:{private / 'bus'}"
-        return Supervisor(resolved, out_dir, private, address, on_progress).run()
+        bench = describe_bench(resolved, private, address=address, out=out_dir, linked=gateway is not None)
+        return Supervisor(resolved, out_dir, private, bench, on_progress, gateway).run()
 
 
 @contextlib.contextmanager
 def make_private() -> Iterator[Path]:
     """Yield a temporary directory that only this user can enter. Raises RecordError when there is no place for one."""
     try:
-        place = tempfile.TemporaryDirectory(prefix="hilsat-", ignore_cleanup_errors=True)
+        place = tempfile.TemporaryDirectory(prefix=PREFIX, ignore_cleanup_errors=True)
     except OSError as error:
         raise RecordError(
             f"cannot make a temporary directory: {error.strerror}; set TMPDIR to a directory that can be written"
@@ -72,13 +81,20 @@ class Supervisor:
     """Starts the processes of one run and sees them to their end."""
 
     def __init__(
-        self, resolved: Resolved, out_dir: Path, private: Path, address: str, on_progress: Callable[[int], None]
+        self,
+        resolved: Resolved,
+        out_dir: Path,
+        private: Path,
+        bench: RunFile,
+        on_progress: Callable[[int], None],
+        gateway: GatewayPlan | None = None,
     ) -> None:
         """private: directory for what the processes are told and say; out_dir: for the log, and what a failed one said."""
         self._resolved = resolved
         self._out = out_dir
         self._private = private
-        self._address = address
+        self._bench = bench
+        self._plan = gateway
         self._on_progress = on_progress
         self._report = RunReport(out_dir / LOG, 3)
         self._started_s = time.monotonic()
@@ -87,6 +103,7 @@ class Supervisor:
         self._buffer = b""
         self._sides: list[Process] = []  # plant, then flight software
         self._recorders: list[Process] = []  # one, once it has started
+        self._gateway: Process | None = None
 
     def run(self) -> RunReport:
         """Start them, watch them, end them."""
@@ -123,10 +140,7 @@ class Supervisor:
         plant_in, plant_out = make_pipe()
         fsw_in, fsw_out = make_pipe()
         private = self._private
-        plant_file, fsw_file, meta_file = (private / name for name in ("plant.json", "fsw.json", "meta.json"))
-        plant_file.write_text(self._resolved.plant_json(self._address), encoding="utf-8")
-        fsw_file.write_text(self._resolved.fsw_json(self._address), encoding="utf-8")
-        meta_file.write_text(json.dumps(describe(self._resolved, self._address)), encoding="utf-8")
+        plant_file, fsw_file, meta_file = self._write_files()
         traces = self._out.absolute()
         try:
             self._recorders.append(start(
@@ -150,6 +164,18 @@ class Supervisor:
                 os.close(fd)
         if self._resolved.scenario.clock.mode == "lockstep":
             share_processor(*self._sides)
+        if self._plan is not None:
+            self._gateway = self._plan.start(private, self._bench)
+
+    def _write_files(self) -> tuple[Path, Path, Path]:
+        """Write what plant, flight software and recorder are told, and what the bench says of itself."""
+        bench, resolved = self._bench, self._resolved
+        plant_file, fsw_file, meta_file = (self._private / name for name in ("plant.json", "fsw.json", "meta.json"))
+        plant_file.write_text(resolved.plant_json(bench.bus, ground_of(bench, bench.plant)), encoding="utf-8")
+        fsw_file.write_text(resolved.fsw_json(bench.bus, ground_of(bench, bench.fsw)), encoding="utf-8")
+        meta_file.write_text(json.dumps(describe(resolved, bench.bus)), encoding="utf-8")
+        write_run_file(self._private, bench)
+        return plant_file, fsw_file, meta_file
 
     # -- watching --------------------------------------------------------------------------------------------------
 
@@ -220,6 +246,8 @@ class Supervisor:
         for recorder in self._recorders:
             recorder.resume()
         stop(self._sides)
+        if self._gateway is not None:
+            self._report.notes += end_gateway(self._gateway)
         for recorder in self._recorders:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 recorder.popen.wait(RECORDER_PATIENCE_S)

@@ -13,6 +13,8 @@ from bus.process import raise_signals
 from tools.config.loader import load_scenario
 from tools.config.scenario import Resolved
 from tools.config.scenario_files import find_scenario
+from tools.ground.launch import GatewayPlan, plan_gateway
+from tools.ground.links import HELP
 from tools.run.directory import own_directory
 from tools.run.runner import RunReport, print_progress, run_processes
 
@@ -28,6 +30,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("--seed", type=int, help="override the scenario's seed")
     parser.add_argument("--duration", type=float, metavar="S", help="override the scenario's duration [s]")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="override any key; repeatable")
+    add_ground_options(parser)
     parser.add_argument("--out", type=Path, help="directory for the log and the picture (default: runs/NAME-TIME)")
     parser.add_argument("--no-plot", action="store_true", help="draw no picture")
     parser.add_argument("--json", action="store_true", help="print one JSON object on stdout")
@@ -38,20 +41,39 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run, grade, draw and report; return the exit code."""
     resolved = load_scenario(find_scenario(args.scenario), _overrides(args))
-    with raise_signals(), own_directory(args.out, resolved.scenario.name) as out_dir:
-        return _conclude(args, resolved, _fly(args, resolved, out_dir))
+    with (
+        raise_signals(),
+        plan_gateway(args.mavlink, args.mavlink_key) as gateway,
+        own_directory(args.out, resolved.scenario.name) as out_dir,
+    ):
+        return _conclude(args, resolved, _fly(args, resolved, out_dir, gateway))
 
 
-def _fly(args: argparse.Namespace, resolved: Resolved, out_dir: Path) -> RunReport:
+def add_ground_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options that let others into a running bench."""
+    parser.add_argument("--inject", action="store_true", help="take faults from `hilsat inject` while it runs")
+    parser.add_argument(
+        "--mavlink",
+        action="append",
+        default=[],
+        metavar="ADDRESS",
+        help=f"link to a ground station: {HELP}; repeatable",
+    )
+    parser.add_argument(
+        "--mavlink-key", type=Path, metavar="FILE", help="sign these links: 32 bytes or a passphrase, mode 0600"
+    )
+
+
+def _fly(args: argparse.Namespace, resolved: Resolved, out_dir: Path, gateway: GatewayPlan | None) -> RunReport:
     if args.quiet:
-        return _execute(resolved, out_dir, lambda tick: None)
+        return _execute(resolved, out_dir, lambda tick: None, gateway)
     scenario = resolved.scenario
     print(
         f"{scenario.name}: {scenario.title}\n  {scenario.duration_s:g} s at {scenario.clock.tick_hz} Hz, "
         f"{scenario.clock.mode}, seed {scenario.seed}",
         file=sys.stderr,
     )
-    report = _execute(resolved, out_dir, print_progress(resolved.ticks))
+    report = _execute(resolved, out_dir, print_progress(resolved.ticks), gateway)
     if sys.stderr.isatty():
         print(file=sys.stderr)
     return report
@@ -59,17 +81,20 @@ def _fly(args: argparse.Namespace, resolved: Resolved, out_dir: Path) -> RunRepo
 
 def _overrides(args: argparse.Namespace) -> list[str]:
     named = {"bus.address": args.bus, "clock.mode": args.clock, "seed": args.seed, "duration_s": args.duration}
+    named["inject"] = "allowed" if args.inject else None
     extra: list[str] = args.set
     return [f"{key}={value}" for key, value in named.items() if value is not None] + extra
 
 
-def _execute(resolved: Resolved, out_dir: Path, on_progress: Callable[[int], None]) -> RunReport:
+def _execute(
+    resolved: Resolved, out_dir: Path, on_progress: Callable[[int], None], gateway: GatewayPlan | None
+) -> RunReport:
     if resolved.scenario.clock.mode != "inprocess":
-        return run_processes(resolved, out_dir, on_progress)
+        return run_processes(resolved, out_dir, on_progress, gateway)
     from tools.run.in_process import run_in_process
 
     with raise_signals() as came:
-        report = run_in_process(resolved, out_dir, on_progress)
+        report = run_in_process(resolved, out_dir, on_progress, gateway)
     if came:
         report.exit_code = 128 + came[0]
     return report
@@ -83,6 +108,6 @@ def _conclude(args: argparse.Namespace, resolved: Resolved, report: RunReport) -
         print(json.dumps(result.as_dict(), allow_nan=False))
     elif text := result.as_text():
         print(text)
-    for problem in report.problems:
+    for problem in (*report.problems, *report.notes):
         print(f"hilsat run: {problem}", file=sys.stderr)
     return result.exit_code
