@@ -12,7 +12,7 @@ from bus.telemetry.link import Link, Row, TickPacker, announce_topics, pack_inpu
 from bus.wheels import ACTIONS, CLEAR_LATCH
 from fsw.flight import Flight
 from fsw.modes import Mode
-from fsw.records import ALL_AXES, ALL_WHEELS, NO_KIND, NO_WHEEL, Detection, Flags4, WheelHealth
+from fsw.records import NO_KIND, NO_WHEEL, Detection, Flags4, WheelHealth
 from fsw.telemetry import (
     CONTROL_TOPICS,
     FIRST_CHANNEL,
@@ -52,7 +52,7 @@ class FlightLog:
         self._rivals_said: set[int] = set()
         self._kinds, self._available, self._dither = NO_KIND, flight.vehicle.fitted, 0
         self._dead = NO_WHEEL
-        self._gyro_state = SOUND_GYRO
+        self._gyro_state, self._star_heard, self._star_lost = SOUND_GYRO, False, False
         self._waited_for, self._since_tick, self._said = "", 0, False
         self._every_tick = TickPacker(TICK_TOPICS, FIRST_CHANNEL)
         self._on_control = TickPacker(CONTROL_TOPICS, FIRST_CHANNEL + len(TICK_TOPICS))
