@@ -11,7 +11,7 @@ from tools.config.yaml_nodes import read_value
 
 ACTIONS: Final = ("set", "list", "catalogue", "status", "clear", "export", "completion")
 WITH_VALUE: Final = (
-    "--at-tick", "--at", "--for", "--until", "--id", "--profile", "--timeout", "--run", "-o", "--output",
+    "--at-tick", "--at", "--for", "--until", "--id", "--profile", "--timeout", "--run", "-o", "--output", "--extends",
 )  # fmt: skip
 
 
