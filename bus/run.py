@@ -30,6 +30,10 @@ class BusConfig:
 
     address: str = "hub:"  # hub: (a fresh private directory), hub:<dir>, socketcan:vcan0, memory:, ...
     bitrate_bps: Annotated[int, Unit("bit/s"), Ge(10_000), Le(1_000_000)] = 500_000  # the load is checked against this
+    timing: Literal["none", "real"] = "none"  # real: frames take as long as on a bus of that bit rate, and arbitrate
+
+
+USUAL_BUS = BusConfig()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,9 +70,13 @@ def run_hash(resolved: dict[str, Any]) -> int:
     """Number (u32) that two peers must agree on: it stands for everything that decides the bytes of the run.
 
     First four bytes, little endian, of the SHA-256 over seed, duration, tick rate, plant, faults and flight software.
-    Bus, clock mode, recording and grading do not count: the same bytes flow on every bus.
+    Bus, clock mode, recording and grading do not count: the same bytes flow on every bus. A bus with the timing of a real
+    one is another matter: timing and bit rate count then.
     """
     counted = {key: resolved[key] for key in HASHED_KEYS}
     counted["tick_hz"] = resolved["clock"]["tick_hz"]
+    bus = resolved.get("bus") or {}
+    if bus.get("timing", "none") != "none":
+        counted["bus"] = {key: bus[key] for key in ("timing", "bitrate_bps")}
     text = json.dumps(counted, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "little")

@@ -170,7 +170,7 @@ def unit_of(notes: tuple[Any, ...]) -> str:
 
 def find_unit(kind: Any) -> str:
     """Unit symbol of a setting, through unions with None ('' when there is none)."""
-    return unit_of(_all_notes(kind))
+    return unit_of(all_notes(kind))
 
 
 def limits_of(notes: tuple[Any, ...]) -> str:
@@ -385,9 +385,10 @@ def _say_allowed(notes: tuple[Any, ...]) -> str:
     return (f" [{unit}]" if unit else "") + (f"; allowed: {limits}" if limits else "")
 
 
-def _all_notes(kind: Any) -> tuple[Any, ...]:
+def all_notes(kind: Any) -> tuple[Any, ...]:
+    """Everything that is said of a type, through unions with None."""
     kind, notes = strip_annotations(kind)
     for member in branches_of(kind):
         if member is not kind:
-            notes = notes + _all_notes(member)
+            notes = notes + all_notes(member)
     return notes

@@ -18,11 +18,13 @@ from fsw.telemetry import (
     FIRST_CHANNEL,
     INPUT_CHANNEL,
     INPUT_TOPIC,
+    LINK_HEALTH,
     TICK_TOPICS,
     flatten,
     make_diagnostics,
     read_control,
     read_internals,
+    read_link_health,
     read_tick,
 )
 from fsw.wheel_kinds import BIAS, DRIVER_GAIN, FRICTION, NONE, TORQUE_GAIN, UNKNOWN, WORDS
@@ -32,6 +34,7 @@ if COMPILED:  # never where librt may be missing
 
 SAFE_ASKED: Final = 1  # flags of /fsw/input
 SHEDDING: Final = 2
+LINK_CHANNEL: Final = 150
 WAIT_S: Final = 1.0  # a mode that waits for longer says for what
 
 
@@ -57,6 +60,8 @@ class FlightLog:
         if diagnostics:
             packers.append(TickPacker(diagnostics, FIRST_CHANNEL + len(TICK_TOPICS) + len(CONTROL_TOPICS)))
         self._diagnostics = packers[2] if diagnostics else None
+        self._links = TickPacker([LINK_HEALTH], LINK_CHANNEL)
+        packers.append(self._links)
         link.announce(announce_topics(packers, inputs={INPUT_CHANNEL: INPUT_TOPIC}), self.pack_rows)
         for words in flight.cautions:
             link.event(0, "warning", "fsw", words)
@@ -68,11 +73,15 @@ class FlightLog:
         """
         flight, link = self._flight, self.link
         t_ns = tick * self._tick_ns
+        links = None
         self._say_mode(tick, t_ns)
         if flight.outputs.requests_sent != self._requests_said:
             self._say_request(t_ns)
         if flight.control_ran:
             self._say_rivals(t_ns)
+            if flight.inputs.watch.is_troubled:
+                links = read_link_health(flight)
+                self._say_links()
             health = flight.health
             if health.kind != self._kinds or health.available != self._available or health.dither != self._dither:
                 self._say_wheels(health, t_ns)
@@ -89,13 +98,13 @@ class FlightLog:
             head = stamp(tick, t_ns)
             known = self._pack_known(head)
             link.write_row((
-                tick, t_ns, self._pack(known, head, counters.slips, flags, text, frames, control, diagnostics)
+                tick, t_ns, self._pack(known, head, counters.slips, flags, text, frames, control, diagnostics, links)
             ))  # fmt: skip
         else:
             link.write_row((
                 tick, t_ns, counters.slips, flags, text, frames, read_tick(flight),
                 counters.last_cycle_ns, counters.max_cycle_ns, counters.last_lateness_ns, link.dropped, control,
-                diagnostics,
+                diagnostics, links,
             ))  # fmt: skip
 
     def pack_rows(self, rows: list[Row]) -> list[bytes]:
@@ -105,11 +114,11 @@ class FlightLog:
         pack_known, records = self._every_tick.pack_stamped, []
         for (
             tick, t_ns, slips, flags, commands, frames, known, cycle_ns, max_cycle_ns, lateness_ns, dropped, control,
-            diagnostics,
+            diagnostics, links,
         ) in rows:  # fmt: skip
             head = stamp(tick, t_ns)
             data = pack_known(head, (*known, cycle_ns * 1e-3, max_cycle_ns * 1e-3, lateness_ns * 1e-3, dropped))
-            records.append(self._pack(data, head, slips, flags, commands, frames, control, diagnostics))
+            records.append(self._pack(data, head, slips, flags, commands, frames, control, diagnostics, links))
         return records
 
     def _pack_known(self, head: bytes) -> bytes:
@@ -118,7 +127,7 @@ class FlightLog:
 
     def _pack(
         self, known: bytes, head: bytes, slips: int, flags: int, commands: str, frames: bytes,
-        control: tuple[Any, ...] | None, diagnostics: tuple[Any, ...] | None,
+        control: tuple[Any, ...] | None, diagnostics: tuple[Any, ...] | None, links: tuple[Any, ...] | None,
     ) -> bytes:  # fmt: skip
         """The records of a cycle: those of TICK_TOPICS, then what ran on it, then what it was given."""
         data = known
@@ -126,6 +135,8 @@ class FlightLog:
             data += self._on_control.pack_stamped(head, flatten(control))
         if diagnostics is not None and self._diagnostics is not None:
             data += self._diagnostics.pack_stamped(head, flatten(chain.from_iterable(diagnostics)))
+        if links is not None:
+            data += self._links.pack_stamped(head, flatten(links))
         return data + pack_input(INPUT_CHANNEL, head, slips, flags, commands, frames)
 
     def _say_rivals(self, t_ns: int) -> None:
@@ -136,6 +147,11 @@ class FlightLog:
                 if can_id not in self._rivals_said:
                     self._rivals_said.add(can_id)
                     self.link.event(t_ns, "warning", "fsw", f"two senders of 0x{can_id:03X} on the bus")
+
+    def _say_links(self) -> None:
+        """A line for every unit that falls silent or is heard again, every babbling id, and what the controller reports."""
+        for tick, level, words in self._flight.inputs.watch.take_lines():
+            self.link.event(tick * self._tick_ns, level, "fsw", words)
 
     def _say_request(self, t_ns: int) -> None:
         """A line for every request to a wheel."""

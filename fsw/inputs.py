@@ -20,7 +20,8 @@ from bus.icd.codec import SENSORS_SIZE
 from bus.icd.e2e import Link, LinkGroup, part_group
 from bus.icd.heartbeat import count_heartbeat_ticks
 from bus.units import Vec4
-from bus.wire.frames import FRAME
+from bus.wire.frames import ERR_FLAG, FRAME
+from fsw.link_watch import MANY_BYTES, LinkWatch
 from fsw.records import ALL_AXES, NOT_HEARD, Sensors
 from fsw.settings import ModesConfig
 from fsw.vehicle import Vehicle
@@ -39,6 +40,8 @@ TEMP_IDS = (0x290, 0x291, 0x292, 0x293)
 POWER_IDS = (0x390, 0x391, 0x392, 0x393)
 SLOW_IDS = (TIME_ID, HEARTBEAT_PLANT_ID, *TEMP_IDS, *POWER_IDS)
 GROUP_IDS = (*WHEEL_IDS, *FOG_IDS, SYNC_ID)  # the frames of every tick, in the order in which the plant sends them
+
+WATCHED_IDS = (*WHEEL_IDS, *FOG_IDS, STAR_A_ID)  # one for each of fsw.link_watch.UNITS
 
 STATUS_OK: Final = 0
 AGE_WRAPS: Final = 128  # an age from here on is that of a frame ahead of its tick
@@ -84,6 +87,7 @@ class Inputs:
         handlers |= {can_id: self._make_temp(i) for i, can_id in enumerate(TEMP_IDS)}
         handlers |= {can_id: self._make_power(i) for i, can_id in enumerate(POWER_IDS)}
         self._handlers = handlers
+        self.watch = LinkWatch(modes.stale_after_ticks, math.ceil(modes.star_stale_after_s / tick_s), vehicle.fitted)
         self.reset()
 
     def reset(self) -> None:
@@ -94,6 +98,8 @@ class Inputs:
         }
         self._slots = {can_id: (self._links[can_id].accept, handler) for can_id, handler in self._handlers.items()}
         self._group = LinkGroup([self._links[can_id] for can_id in GROUP_IDS])
+        self._watched = tuple([self._links[can_id] for can_id in WATCHED_IDS])
+        self.watch.reset()
         self.counters = InputCounters()
         self.sensors = Sensors()
         self.plant_tick = -1
@@ -141,6 +147,10 @@ class Inputs:
             else:
                 self._group.stay_apart()
             self._judge_age(tick)
+            self.watch.look(tick, self._watched)
+        if tick >= self.watch.next_look:
+            self._group.part()
+            self.watch.look_ahead(tick, self._watched)
         if tick >= self._slow_due:
             self._judge_slow(tick)
         sensors.tick = tick
@@ -215,10 +225,15 @@ class Inputs:
 
     def _take(self, frames: bytes) -> None:
         slots = self._slots
+        if len(frames) > MANY_BYTES:
+            frames = self.watch.thin(self._tick, frames, self._links)
         for can_id, length, data in FRAME.iter_unpack(frames):
             slot = slots.get(can_id)
             if slot is None:
-                self.counters.foreign += 1
+                if can_id & ERR_FLAG:
+                    self.watch.note_error_frame(self._tick, can_id, data)
+                else:
+                    self.counters.foreign += 1
                 continue
             values = slot[0](data if length == 8 else data[:length], self._tick)
             if values is None:

@@ -130,6 +130,32 @@ EXECUTIVE = Topic(
     every="control",
 )
 
+LINK_HEALTH = Topic(
+    "/fsw/link_health",
+    "hilsat/FswLinkHealth",
+    (
+        Field(
+            "silent",
+            "float64",
+            8,
+            "1",
+            "1 while wheel.1 .. wheel.4, gyro.x .. gyro.z, star_tracker send nothing usable",
+        ),
+        Field("babbling", "float64", 1, "1", "ids that come far too often now"),
+        Field("babbler", "float64", 1, "1", "id that was last named for that; -1: ids that nobody listens to"),
+        Field("flooded", "float64", 1, "1", "frames so far that were left in a batch, so that the cycle stays short"),
+        Field("error_frames", "float64", 1, "1", "error frames of the CAN controller so far"),
+        Field(
+            "controller",
+            "float64",
+            1,
+            "1",
+            "as it last reported: 0 error active, 1 warning, 2 error passive, 3 bus-off",
+        ),
+    ),
+    every="irregular",
+)
+
 TICK_TOPICS = (ATTITUDE, DETECTION, TIMING)
 CONTROL_TOPICS = (
     GUIDANCE,
@@ -174,6 +200,14 @@ def read_control(flight: Flight) -> tuple[Any, ...]:
         sensors.tick, flight.modes.mode, counters.slips, inputs.refused, inputs.foreign, inputs.implausible,
         inputs.unit_fault, counters.skipped, counters.caught_up, flight.diagnostics_slot.shed, flight.torques_saturated,
         flight.inputs.count_rivals(),
+    )  # fmt: skip
+
+
+def read_link_health(flight: Flight) -> tuple[Any, ...]:
+    """What is wrong with the links: a value a field, in the order of LINK_HEALTH."""
+    watch = flight.inputs.watch
+    return (
+        tuple(watch.silent), watch.babbling, watch.last_babbler, watch.flooded, watch.error_frames, watch.controller,
     )  # fmt: skip
 
 

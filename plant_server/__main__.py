@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -50,13 +52,13 @@ def _serve(config: PlantFile, telemetry_fd: int | None, progress: Progress) -> N
     plant = Plant(config.plant, config.faults, run.tick_ns * 1e-9, run.seed)
     link = TelemetryLink(telemetry_fd, SOURCE, blocking=run.clock.mode != "realtime")
     stamped = run.bus.address.startswith("socketcan:")
-    node = PlantNode(plant, link, run.tick_ns, run.run_hash, stamped=stamped)
+    node = PlantNode(plant, link, run.tick_ns, run.run_hash, stamped=stamped, bus=run.bus)
     transport = open_transport(run.bus.address, node="plant", host=True, bitrate_bps=run.bus.bitrate_bps)
     with last_word(
         "plant", transport, link, progress,
         lambda failed: node.channel.heartbeat(FAILED if failed else STOPPED),
         lambda: node.tick_number * run.tick_ns,
-    ):  # fmt: skip
+    ), _ground_of(node, config, clock):  # fmt: skip
         progress.say(state="waiting", bus=transport.address)
         meet_fsw(transport, node.channel, run.run_hash, MEETING_PATIENCE_S, clock)
         progress.say(state="running")
@@ -66,6 +68,21 @@ def _serve(config: PlantFile, telemetry_fd: int | None, progress: Progress) -> N
         else:
             _run_ticks(node, LockStep(transport, clock, node.log).exchange, run.ticks, progress)
         progress.say(running_s=(clock.now_ns() - started_ns) * 1e-9)
+
+
+@contextlib.contextmanager
+def _ground_of(node: PlantNode, config: PlantFile, clock: MonotonicClock) -> Iterator[None]:
+    """Keep the socket for commands open, where the run has one."""
+    if config.ground is None:
+        yield
+        return
+    from plant_server.ground import open_ground  # a run without it is not to wait for the dialect
+
+    ground = open_ground(node, config.ground, clock, name=config.run.name, ticks=config.run.ticks)
+    try:
+        yield
+    finally:
+        ground.close()
 
 
 def _run_realtime(

@@ -5,13 +5,14 @@
 | fault.add   | a fault, as in a scenario file |
 | fault.clear | `id` of one, `unit` for all of one, nothing for all |
 
-Each command is logged with the tick at which it was applied; one that is refused, with the reason.
+Each command is logged with the tick at which it was applied; one that is refused, with the reason. Whoever it comes from
+(the timeline of a scenario, a bench in Python, `hilsat inject`, MAVLink), this is its one way to the plant.
 """
 
 from __future__ import annotations
 
 import json
-from typing import Any
+from typing import Any, Final, NamedTuple
 
 from bus.commands import Command
 from bus.errors import ConfigError
@@ -21,6 +22,15 @@ from plant_server.plant import Plant
 from plant_server.plant_log import PlantLog
 
 VERBS = ("fault.add", "fault.clear")
+LOGGED_REFUSALS: Final = 200  # of a run; whoever sends nonsense without end does not fill the log with it
+
+
+class Outcome(NamedTuple):
+    """What became of a command."""
+
+    text: str  # what was done, as a phrase; "" when it was refused
+    ids: tuple[str, ...] = ()  # of the faults that it added or cleared
+    reasons: tuple[str, ...] = ()  # why it was refused
 
 
 class Injector:
@@ -29,24 +39,29 @@ class Injector:
     def __init__(self, plant: Plant, log: PlantLog) -> None:
         self._plant = plant
         self._log = log
+        self._refusals = 0
 
-    def carry_out(self, command: Command, tick: int) -> None:
+    def carry_out(self, command: Command, tick: int) -> Outcome:
         """Apply a command before the work of this tick, and log what became of it. Never raises for a wrong one."""
         try:
-            done = self._apply(command)
+            outcome = self._apply(command)
         except ConfigError as error:
-            self._log.note_refusal(command, tick, str(error))
-        else:
-            self._log.note_command(command, tick, done)
+            self._refusals += 1
+            if self._refusals <= LOGGED_REFUSALS:
+                self._log.note_refusal(command, tick, str(error))
+            return Outcome("", (), error.problems)
+        self._log.note_command(command, tick, outcome.text)
+        return outcome
 
-    def _apply(self, command: Command) -> str:
-        """Do it; return what was done, as a phrase."""
+    def _apply(self, command: Command) -> Outcome:
+        """Do it."""
         if command.verb == "fault.add":
             fault = build(Fault, command.arguments, "fault.add")
-            return f"{self._plant.add_fault(fault)}: {fault.describe()}"
+            name = self._plant.add_fault(fault)
+            return Outcome(f"{name}: {fault.describe()}", (name,))
         if command.verb == "fault.clear":
             cleared = self._plant.clear_faults(**_read_selection(command.arguments))
-            return f"cleared {', '.join(cleared) or 'nothing: no fault waits or acts'}"
+            return Outcome(f"cleared {', '.join(cleared) or 'nothing: no fault waits or acts'}", cleared)
         raise ConfigError(f"{json.dumps(command.verb)} is not a command of the plant; there are: {', '.join(VERBS)}")
 
 

@@ -302,6 +302,16 @@ class Plant:
             recover(WHEELS[wheel], self._step)
             self._wheels.look_again()
 
+    @property
+    def timeline(self) -> FaultTimeline:
+        """When which fault acts, for what stands between the units and whoever hears them."""
+        return self._timeline
+
+    @property
+    def next_step(self) -> int:
+        """The integration step that comes next."""
+        return self._step
+
     # -- faults ----------------------------------------------------------------------------------------------------
 
     def add_fault(self, fault: Fault) -> str:

@@ -10,6 +10,7 @@ from bus.native import COMPILED
 from bus.telemetry.link import Field, Link, Row, TickPacker, Topic, announce_topics, pack_frames_stamped, stamp
 from bus.wire.frames import FRAME_ID
 from bus.wire.transport import Transport
+from plant_server.can_bus.counts import BUS, BUS_CHANNEL
 from plant_server.channel import Channel
 from plant_server.faults import FaultEvent
 from plant_server.plant import Plant
@@ -65,9 +66,16 @@ class PlantLog:
         self._prefixes = (attitude, wheels, gyro)
         self._counters = TickPacker([COUNTERS], COUNTERS_CHANNEL)
         self._stamps = TickPacker([STAMPS], STAMPS_CHANNEL) if stamped else None
+        self._bus: TickPacker | None = None
         self._arrivals: list[tuple[int, int, int]] = []  # of this tick: time, id, frames dropped so far
         packers = [self._truth, self._counters, *([self._stamps] if self._stamps else [])]
         link.announce(announce_topics(packers, {FRAMES_CHANNEL: BUS_NAME}), self._pack_rows)
+
+    def show_bus(self) -> None:
+        """Have a record of the wire on every tick from the next on."""
+        self._bus = bus = TickPacker([BUS], BUS_CHANNEL)
+        self.link.flush()
+        self.link.announce(announce_topics([bus]), self._pack_rows)
 
     def note_arrival(self, batch: bytes, transport: Transport) -> None:
         """Keep the kernel's stamps of the frames that the transport has just returned."""
@@ -77,8 +85,11 @@ class PlantLog:
             stamps = transport.kernel_stamps_ns
             self._arrivals += [(stamp_ns, can_id, dropped) for (can_id,), stamp_ns in zip(ids, stamps, strict=False)]
 
-    def write(self, frames: bytes) -> None:
-        """Log this tick: the frames in the order of the bus, the truth at the time of sampling, new fault events."""
+    def write(self, frames: bytes, bus: tuple[float, ...] = ()) -> None:
+        """Log this tick: the frames in the order of the bus, the truth at the time of sampling, new fault events.
+
+        bus : what the wire has to show, where there is one
+        """
         channel = self._channel
         tick = channel.tick
         t_ns = tick * self._tick_ns
@@ -90,24 +101,29 @@ class PlantLog:
             counts = (now.accepted, now.refused, now.foreign, now.too_old, now.timeouts, channel.count_rivals())
             self._say_rivals(t_ns)
         if COMPILED:
-            self.link.write_row((tick, t_ns, self._pack(tick, t_ns, frames, counts)))
+            self.link.write_row((tick, t_ns, self._pack(tick, t_ns, frames, counts, bus)))
         else:
-            self.link.write_row((tick, t_ns, frames, channel.snapshot, tuple(self._arrivals), counts))
+            self.link.write_row((tick, t_ns, frames, channel.snapshot, tuple(self._arrivals), counts, bus))
         self._arrivals.clear()
 
-    def _pack(self, tick: int, t_ns: int, frames: bytes, counts: tuple[int, ...]) -> bytes:
+    def _pack(self, tick: int, t_ns: int, frames: bytes, counts: tuple[int, ...], bus: tuple[float, ...]) -> bytes:
         """The records of this tick, at once: compiled, that costs less than to keep what they are made of."""
         head = stamp(tick, t_ns)
-        between = self._pack_between(head, self._arrivals, counts) if self._arrivals or counts else b""
+        is_more = self._arrivals or counts or bus
+        between = self._pack_between(head, self._arrivals, counts, bus) if is_more else b""
         return pack_tick(FRAMES_CHANNEL, head, frames, between, self._prefixes, self._channel.snapshot)
 
-    def _pack_between(self, head: bytes, arrivals: Sequence[tuple[int, int, int]], counts: tuple[int, ...]) -> bytes:
-        """The records that a tick has now and then: stamps of the kernel, counters."""
+    def _pack_between(
+        self, head: bytes, arrivals: Sequence[tuple[int, int, int]], counts: tuple[int, ...], bus: tuple[float, ...]
+    ) -> bytes:
+        """The records that a tick has now and then: stamps of the kernel, counters, the wire."""
         data = b""
         if self._stamps is not None:
             pack_stamp = self._stamps.pack_stamped
             data = b"".join([pack_stamp(head, arrival) for arrival in arrivals])
-        return data + self._counters.pack_stamped(head, counts) if counts else data
+        if counts:
+            data += self._counters.pack_stamped(head, counts)
+        return data + self._bus.pack_stamped(head, bus) if bus and self._bus is not None else data
 
     def _say_rivals(self, t_ns: int) -> None:
         """A line, once an id, when a second node is seen to send what only one may."""
@@ -121,11 +137,11 @@ class PlantLog:
         if COMPILED:
             return [row[2] for row in rows]
         flatten, pack_truth, records = Plant.flatten, self._truth.pack_stamped, []
-        for tick, t_ns, frames, snapshot, arrivals, counts in rows:
+        for tick, t_ns, frames, snapshot, arrivals, counts, bus in rows:
             head = stamp(tick, t_ns)
             data = pack_frames_stamped(FRAMES_CHANNEL, head, frames)
-            if arrivals or counts:
-                data += self._pack_between(head, arrivals, counts)
+            if arrivals or counts or bus:
+                data += self._pack_between(head, arrivals, counts, bus)
             records.append(data + pack_truth(head, flatten(snapshot)))
         return records
 
@@ -137,8 +153,7 @@ class PlantLog:
             t_ns, event.tick, fault.unit, fault.kind, event.phase, event.value, fault.describe(),
             id=event.id, number=event.number, definition=fault.definition,
         )  # fmt: skip
-        phase = f"{event.phase} by {event.by}" if event.by else event.phase
-        self.link.event(t_ns, LEVELS[event.phase], "plant", f"fault {phase}: {event.id}: {fault.describe()}")
+        self.link.event(t_ns, LEVELS[event.phase], "plant", describe_event(event))
 
     def note_command(self, command: Command, tick: int, done: str) -> None:
         """Log a command that was applied before the work of this tick."""
@@ -164,3 +179,9 @@ class PlantLog:
         self.link.event(
             t_ns, "warning", "plant", f"{command.verb} by {command.origin} at tick {tick} refused: {reason}"
         )
+
+
+def describe_event(event: FaultEvent) -> str:
+    """Return what has become of a fault, as a line for people: the same in the log and on every link."""
+    phase = f"{event.phase} by {event.by}" if event.by else event.phase
+    return f"fault {phase}: {event.id}: {event.fault.describe()}"

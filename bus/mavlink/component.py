@@ -36,8 +36,10 @@ HEARTBEAT_NS: Final = SECOND_NS
 FORGET_NS: Final = 10 * SECOND_NS  # a listener that has not been heard for so long
 LISTENERS: Final = 8
 FASTEST_US: Final = 20_000  # shortest interval of a stream
-LATER: Final = 512  # messages that wait to be sent
+LATER: Final = 512  # messages that wait to be sent to one receiver
 AT_ONCE: Final = 16  # of them a poll
+RECEIVERS: Final = 16  # for whom messages wait
+REMEMBERED: Final = 64  # commands, and requests, that are answered again when they are repeated
 PATIENCE_NS: Final = 2 * SECOND_NS  # for a receiver whose queue is full
 TEXT_SIZE: Final = 50
 FTP_NAK, FTP_NOT_FOUND = 129, 10
@@ -92,7 +94,10 @@ class Traffic:
 
 
 class Asked:
-    """A request in JSON (HILSAT_REQUEST), and the way to answer it, as often as needed."""
+    """A request in JSON (HILSAT_REQUEST), and the way to answer it, as often as needed.
+
+    Its answers are kept for a while: whoever asks again by the same token is answered again, and nothing is done twice.
+    """
 
     def __init__(self, component: Component, message: Message, address: str, what: dict[str, Any]) -> None:
         self.what = what
@@ -100,14 +105,32 @@ class Asked:
         self._component = component
         self._token = message.token
         self._to = (message.get_srcSystem(), message.get_srcComponent())
-        self._number = 0
+        self._replies: list[list[Message]] = []
+
+    @property
+    def key(self) -> tuple[str, int, int, int]:
+        """Who asked, by which token."""
+        return (self.address, *self._to, self._token)
 
     def reply(self, state: str, *, final: bool = True, **more: Any) -> None:
-        """Queue an answer."""
-        what = {"state": state, **more, "final": final}
-        for message in cut_reply(what, self._token, self._number, *self._to):
+        """Queue an answer; one that is too long for the link becomes a refusal."""
+        number = len(self._replies)
+        try:
+            messages = cut_reply({"state": state, **more, "final": final}, self._token, number, *self._to)
+        except ValueError as error:
+            what = {"state": "refused", "reasons": [f"the answer cannot be sent: {error}"], "final": True}
+            messages = cut_reply(what, self._token, number, *self._to)
+        self._replies.append(messages)
+        self._queue(messages)
+
+    def repeat(self) -> None:
+        """Queue all answers given so far once more."""
+        for messages in self._replies:
+            self._queue(messages)
+
+    def _queue(self, messages: list[Message]) -> None:
+        for message in messages:
             self._component.send_later(message, self.address)
-        self._number += 1
 
 
 class Component:
@@ -135,7 +158,8 @@ class Component:
         self._listeners: dict[str, int] = {}  # when each was last heard [ns]
         self._addresses: list[str] = []  # of those that are still heard
         self._answered: dict[tuple[str, int, int, int], tuple[tuple[float, ...], int]] = {}
-        self._later: deque[tuple[Message, str, int]] = deque()
+        self._asked: dict[tuple[str, int, int, int], Asked] = {}  # the last requests, with their answers
+        self._later: dict[str, deque[tuple[Message, int]]] = {}  # by receiver: what waits, and until when
         self._text_id = 0
         self._heartbeat_ns = 0  # when the next is due
         self._streams: dict[int, tuple[int, int]] = {}  # interval and next time [ns]
@@ -162,7 +186,7 @@ class Component:
     # -- the loop --------------------------------------------------------------------------------------------------
 
     def poll(self) -> None:
-        """Take what has come, send what is due. Bounded: at most endpoint.AT_ONCE datagrams in, AT_ONCE waiting ones out."""
+        """Take what has come, send what is due. Bounded: at most endpoint.AT_ONCE datagrams in, AT_ONCE out to each."""
         for message, address in self.endpoint.poll():
             self._take(message, address)
         if self._later:
@@ -192,11 +216,14 @@ class Component:
             self.endpoint.send(message, address)
 
     def send_later(self, message: Message, address: str) -> None:
-        """Queue a message; where too many wait, the oldest is dropped and counted."""
-        if len(self._later) >= LATER:
-            self._later.popleft()
+        """Queue a message; where too many wait for one receiver, its oldest is dropped and counted."""
+        queue = self._later.setdefault(address, deque())
+        if len(queue) >= LATER:
+            queue.popleft()
             self.endpoint.counters.dropped += 1
-        self._later.append((message, address, self._clock.now_ns() + PATIENCE_NS))
+        queue.append((message, self._clock.now_ns() + PATIENCE_NS))
+        if len(self._later) > RECEIVERS:
+            self.endpoint.counters.dropped += len(self._later.pop(next(iter(self._later))))
 
     def close(self) -> None:
         """Send what waits and can be sent at once, and close the endpoint."""
@@ -205,13 +232,18 @@ class Component:
         self.endpoint.close()
 
     def _send_waiting(self) -> None:
-        for _ in range(min(AT_ONCE, len(self._later))):
-            message, address, until_ns = self._later[0]
-            if not self.endpoint.try_send(message, address):
-                if self._clock.now_ns() < until_ns:
-                    return
-                self.endpoint.counters.dropped += 1
-            self._later.popleft()
+        """Send some of what waits to each receiver; one whose queue is full holds up no other."""
+        for address in list(self._later):
+            queue = self._later[address]
+            for _ in range(min(AT_ONCE, len(queue))):
+                message, until_ns = queue[0]
+                if not self.endpoint.try_send(message, address):
+                    if self._clock.now_ns() < until_ns:
+                        break
+                    self.endpoint.counters.dropped += 1
+                queue.popleft()
+            if not queue:
+                del self._later[address]
 
     def _send_due(self, now_ns: int) -> None:
         self._listeners = {address: t for address, t in self._listeners.items() if now_ns - t < FORGET_NS}
@@ -275,7 +307,7 @@ class Component:
             result = words.UNSUPPORTED if handler is None else handler(request)
             self._answered.pop(key, None)
             self._answered[key] = (params, result)
-            if len(self._answered) > 64:
+            if len(self._answered) > REMEMBERED:
                 del self._answered[next(iter(self._answered))]
         self.send_later(MAVLink_command_ack_message(command, result, 0, 0, system, component), address)
 
@@ -317,6 +349,14 @@ class Component:
         if what is None:
             return
         asked = Asked(self, message, address, what)
+        before = self._asked.get(asked.key)
+        if before is not None and before.what == what:
+            before.repeat()
+            return
+        self._asked.pop(asked.key, None)
+        self._asked[asked.key] = asked
+        if len(self._asked) > REMEMBERED:
+            del self._asked[next(iter(self._asked))]
         if self._on_request is None:
             asked.reply("refused", reasons=["this component takes no requests; ask the plant"])
         else:

@@ -13,7 +13,7 @@ from typing import Final, Literal
 
 from bus.errors import ConfigError
 
-Rate = Literal["tick", "control", "diagnostic", "second"]
+Rate = Literal["tick", "control", "diagnostic", "second", "irregular"]
 Kind = Literal["float64", "uint64", "uint32", "int32", "uint8", "bool"]
 
 ENCAPSULATION: Final = b"\x00\x01\x00\x00"  # CDR, little endian
@@ -82,7 +82,8 @@ class Topic:
     """A telemetry topic: records of fixed layout, stamped with the time of their tick.
 
     deterministic : equal from run to run for equal scenario and seed; only such topics enter the digest of a run
-    every         : how often there is a record; `diagnostic` is the control period, unless it is shed
+    every         : how often there is a record; `diagnostic` is the control period, unless it is shed;
+                    `irregular`: whenever there is anything to say
     """
 
     name: str

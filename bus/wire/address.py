@@ -79,6 +79,12 @@ def open_transport(
     return PyCanTransport(address, node, filters, receive_own, bitrate_bps)
 
 
+def may_carry_error_frames(address: str) -> bool:
+    """Return whether simulated error frames may be put on a bus: on none with an adapter, which reports its own."""
+    scheme, _, where = address.partition(":")
+    return scheme in ("hub", "memory") or (scheme == "socketcan" and where.startswith("vcan"))
+
+
 def python_can_interfaces() -> frozenset[str]:
     """Return the names of the interfaces that python-can can drive and we do not, sorted; empty without python-can."""
     try:

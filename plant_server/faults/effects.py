@@ -11,6 +11,7 @@ from collections.abc import Callable
 from typing import ClassVar, TypeVar
 
 from plant_server.config import PlantConfig
+from plant_server.faults.bus_nodes import ALL, PACING_IDS, ROUTES, Node
 from plant_server.faults.profiles import STEP, Profile
 from plant_server.faults.units import FAMILIES, WHEELS
 
@@ -107,6 +108,35 @@ class StarSample:
         self.lost = False
 
 
+class BusFrame:
+    """One frame on its way from one node of the bus to another, as its faults leave it."""
+
+    __slots__ = (
+        "broken_bits",
+        "copies",
+        "delay_s",
+        "dlc",
+        "extra_hz",
+        "forged",
+        "is_blocked",
+        "is_off",
+        "lost",
+        "swapped",
+    )
+
+    def __init__(self) -> None:
+        self.lost = ""  # why it does not arrive; empty: it does
+        self.delay_s = 0.0
+        self.copies = 0  # how often it arrives besides
+        self.swapped = False  # arrives behind the next of its id
+        self.broken_bits: tuple[int, ...] = ()  # of the 64 of its data
+        self.dlc = -1  # the number of data bytes in place of its own; -1: its own
+        self.is_off = False  # every attempt of its sender fails
+        self.is_blocked = False  # no attempt of anybody begins
+        self.extra_hz = 0.0  # frames of a babbling node beside it
+        self.forged = False  # another node sends one of its id as well
+
+
 class Effect:
     """What all kinds share: settings of the kind itself, and what to say of one that can do nothing."""
 
@@ -117,6 +147,7 @@ class Effect:
     switches: ClassVar[bool] = False  # does not rise, but can come and go: profiles without a slope
     usual: ClassVar[Profile] = STEP  # profile of a fault that gives none, and of keys that one of its sort leaves out
     draws: ClassVar[int] = 0  # random numbers a sample, from a stream of the fault's own
+    draws_each: ClassVar[int] = 0  # random numbers a frame, for kinds of the bus
     steady: ClassVar[bool] = (
         True  # changes only as its level does (a wheel's faults are looked at only when they change)
     )
@@ -131,6 +162,10 @@ class Effect:
 
     def explain_futile(self, plant: PlantConfig | None, unit: str) -> str | None:
         """Return why it can have no effect on this unit of this plant (None: of any), whatever happens; None when it can."""
+        return None
+
+    def explain_short(self, tick_s: float) -> str | None:
+        """Return why it can have no effect at this period of the loop [s]; None when it can."""
         return None
 
     def follow(self, now: Acting, passed_s: float) -> str | None:
@@ -183,12 +218,51 @@ class StarEffect(Effect):
         raise NotImplementedError
 
 
+class BusEffect(Effect):
+    """A kind of fault of the bus: concerns the frames that a node sends or that are meant for it."""
+
+    __slots__ = ()
+    sends_only: ClassVar[bool] = False  # concerns what the node sends, and not what it is sent
+    on_wire: ClassVar[bool] = False  # strikes each attempt to send a frame, where the bus takes its time
+
+    @property
+    def node(self) -> Node:
+        """Whose frames; of kinds that do not choose, everybody's."""
+        return "all"
+
+    @property
+    def can_id(self) -> int | None:
+        """Of these alone the frames with this id; None: any."""
+        return None
+
+    def concerns(self, can_id: int, sender: str, receiver: str) -> bool:
+        """Return whether a frame is one of those that it strikes."""
+        is_its = self.node in (ALL, sender) or (self.node == receiver and not self.sends_only)
+        return is_its and (self.can_id is None or self.can_id == can_id)
+
+    def explain_futile(self, plant: PlantConfig | None, unit: str) -> str | None:
+        """Return why, when no frame that is sent is one of those that it strikes."""
+        if self.can_id is None:
+            return None
+        if self.can_id in PACING_IDS:
+            return f"0x{self.can_id:03X} paces the run and is left alone by faults of the bus; give another can_id"
+        route = ROUTES.get(self.can_id)
+        if route is None or not self.concerns(self.can_id, *route):
+            words = f"is sent by {route[0]} to {route[1]}" if route else "is sent by no node"
+            return f"has no effect: 0x{self.can_id:03X} {words}; give node or can_id another value"
+        return None
+
+    def disturb(self, frame: BusFrame, now: Acting) -> bool:
+        """Change the record as the fault does; return whether that made a difference."""
+        raise NotImplementedError
+
+
 KINDS: dict[str, dict[str, type[Effect]]] = {family: {} for family in FAMILIES}
 E = TypeVar("E", bound=Effect)
 
 
 def register(family: str, kind: str) -> Callable[[type[E]], type[E]]:
-    """Return a class decorator that makes an effect known as `kind` of a family: wheel, gyro or star_tracker."""
+    """Return a class decorator that makes an effect known as `kind` of a family: wheel, gyro, star_tracker or bus."""
 
     def enter(cls: type[E]) -> type[E]:
         if not dataclasses.is_dataclass(cls) or kind in KINDS[family]:

@@ -12,11 +12,13 @@ the length of its profile, has passed. Without an end the cause is gone at once.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
 from typing import Generic, NamedTuple, TypeVar, cast
 
 from bus.errors import ConfigError
+from bus.settings import Problem
 from plant_server.config import PlantConfig
 from plant_server.faults.effects import Acting, Effect
 from plant_server.faults.fault import Fault, check_faults, fault_ids
@@ -25,6 +27,7 @@ from plant_server.faults.units import SIMPLE_UNITS, family_of, parts_of
 from plant_server.noise import Draw, open_uniforms
 
 NEVER = 1 << 62  # step of an edge that does not come
+FARTHEST = 1e15  # step of a time that no run comes to
 ORDER = {"end": 0, "cleared": 0, "onset": 1, "effect": 2}  # of events on one step
 K = TypeVar("K", bound=Effect)
 
@@ -53,6 +56,7 @@ class ListedFault(NamedTuple):
     fault: Fault
     state: str  # waiting, active, over
     had_effect: bool
+    tick: int  # the first on which it acts
 
 
 class Occurrence:
@@ -104,7 +108,7 @@ class ActiveFault(Generic[K]):
         self._find_level = occurrence.find_level
         self._heal = heal
         self._is_new = True
-        self._goes_on = draw is not None or self.effect.remembers  # something happens with every step or sample
+        self._goes_on = self.effect.draws > 0 or self.effect.remembers  # something happens with every step or sample
 
     def bring_to(self, t_s: float, speed_rad_s: float = 0.0) -> None:
         """Bring what the effect is told to the time t_s; random numbers are drawn when that is another than the last.
@@ -131,6 +135,11 @@ class ActiveFault(Generic[K]):
             why = effect.follow(now, passed_s)
             if why is not None:
                 self._heal(self.occurrence, now.t_s, why)
+
+    def draw_each(self) -> None:
+        """Draw the random numbers of one more frame."""
+        if self._draw is not None and self.effect.draws_each:
+            self.now.drawn = tuple([self._draw() for _ in range(self.effect.draws_each)])
 
     def is_settled(self) -> bool:
         """Return whether what it does stays what it is."""
@@ -190,7 +199,13 @@ class FaultTimeline:
         seed: int,
         plant: PlantConfig | None = None,
     ) -> None:
+        self._tick_s = step_s * steps_per_tick
         problems = check_faults(faults, plant)
+        problems += [
+            Problem((i, "kind"), word)
+            for i, fault in enumerate(faults)
+            if (word := fault.effect.explain_short(self._tick_s)) is not None
+        ]
         if problems:
             raise ConfigError(*(f"faults{format_path(p.path)}: {p.message}" for p in problems))
         self.chains: dict[str, FaultChain[Effect]] = {unit: FaultChain() for unit in SIMPLE_UNITS}
@@ -213,8 +228,10 @@ class FaultTimeline:
         An onset in the past takes effect now. Raises ConfigError when the fault is wrong, is already over, can have no
         effect, or has the id of another.
         """
-        name = f"command[{self._commanded}]" if fault.id is None else fault.id
+        name = self._find_name() if fault.id is None else fault.id
         problems = [f"fault{format_path(p.path)}: {p.message}" for p in fault.check(self._plant)]
+        if (word := fault.effect.explain_short(self._tick_s)) is not None:
+            problems.append(f"fault.kind: {word}")
         if any(item.id == name for item in self._all):
             problems.append(f'fault.id: "{name}" is the id of another fault of this run; ids are unique')
         if not problems and fault.until_s is not None and self._count_steps(fault.until_s) <= step:
@@ -225,6 +242,11 @@ class FaultTimeline:
         self._commanded += 1
         self._enter(fault, name, step)
         return name
+
+    def _find_name(self) -> str:
+        """Return the id of the next commanded fault that gives none."""
+        taken = {item.id for item in self._all}
+        return next(name for i in itertools.count(self._commanded) if (name := f"command[{i}]") not in taken)
 
     def clear(self, step: int, *, id: str | None = None, unit: str | None = None) -> tuple[str, ...]:
         """End faults before the integration step `step`: that of an id, those of a unit, all when neither is given.
@@ -297,6 +319,7 @@ class FaultTimeline:
                 item.fault,
                 "over" if item.off <= step else "active" if item.on <= step else "waiting",
                 item.had_effect,
+                item.on // self._steps_per_tick,
             )
             for item in self._all
         )
@@ -343,14 +366,14 @@ class FaultTimeline:
             chain = self.chains[unit]
             order = sum(entry.effect.kind == fault.kind for entry in chain.entries)
             stream = f"fault/{unit}/{fault.kind}/{order}"
-            draw = open_uniforms(self._seed, stream) if fault.effect.draws else None
+            draw = open_uniforms(self._seed, stream) if fault.effect.draws or fault.effect.draws_each else None
             chain.add(ActiveFault(item, draw, self._heal))
         self._expect(on, "onset", item)
         if item.off < NEVER:
             self._expect(item.off, "end", item)
 
     def _count_steps(self, time_s: float) -> int:
-        return math.ceil(time_s / self._step_s - 1e-6)
+        return math.ceil(min(time_s / self._step_s, FARTHEST) - 1e-6)
 
     def _round_to_tick(self, step: int) -> int:
         n = self._steps_per_tick

@@ -6,13 +6,14 @@ WHEELS = ("wheel.1", "wheel.2", "wheel.3", "wheel.4")
 GYRO = "gyro"  # all three axes at once
 GYRO_AXES = ("gyro.x", "gyro.y", "gyro.z")
 STAR_TRACKER = "star_tracker"
-SIMPLE_UNITS = (*WHEELS, *GYRO_AXES, STAR_TRACKER)  # each has a chain of faults of its own
-UNITS = (*WHEELS, GYRO, *GYRO_AXES, STAR_TRACKER)
-FAMILIES = ("wheel", "gyro", "star_tracker")
+BUS = "bus"
+SIMPLE_UNITS = (*WHEELS, *GYRO_AXES, STAR_TRACKER, BUS)  # each has a chain of faults of its own
+UNITS = (*WHEELS, GYRO, *GYRO_AXES, STAR_TRACKER, BUS)
+FAMILIES = ("wheel", "gyro", "star_tracker", "bus")
 
 
 def family_of(unit: str) -> str:
-    """Return the family of a known unit: wheel, gyro or star_tracker."""
+    """Return the family of a known unit: wheel, gyro, star_tracker or bus."""
     return unit.partition(".")[0]
 
 

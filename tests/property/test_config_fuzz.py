@@ -23,9 +23,10 @@ from bus.errors import ConfigError
 from bus.settings import NOTHING, Reading, fields_of
 from plant_server.faults import KINDS, PROFILES, UNITS, Fault, family_of
 from plant_server.faults.fault import keys_of_all, profile_keys_of, profiles_of
-from tools.config import Scenario, examine_text, load_scenario
 from tools.config.check import summarise
+from tools.config.loader import examine_text, load_scenario
 from tools.config.reference import walk_classes
+from tools.config.scenario import Scenario
 
 EXAMPLES = settings.default.max_examples
 ROOT = Path(__file__).resolve().parents[2]

@@ -15,8 +15,9 @@ from bus.errors import BusAddressError, ConfigError
 from bus.settings import Reading, fields_of, find_unit
 from bus.units import ANY_REACH, REACH
 from bus.wire.hub.directory import HubDirectory
-from tools.config import Scenario, examine, examine_text, load_scenario
+from tools.config.loader import examine, examine_text, load_scenario
 from tools.config.reference import walk_classes
+from tools.config.scenario import Scenario
 
 ROOT = Path(__file__).resolve().parents[2]
 ZHANG = ROOT / "scenarios" / "zhang2018.yaml"

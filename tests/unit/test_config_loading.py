@@ -19,11 +19,11 @@ from fsw.controllers.settings import VariableStructureConfig
 from fsw.observers.settings import IloConfig, NoObserverConfig
 from plant_server.config import PlantConfig
 from plant_server.faults import make_fault
-from tools.config import load_scenario, load_text
 from tools.config.check import check
 from tools.config.expect import Settles
 from tools.config.expect_checks import check_signal
 from tools.config.findings import Source
+from tools.config.loader import load_scenario, load_text
 from tools.config.merge import parse_key
 from tools.config.reference import BEGIN, END, REFERENCE_FILE, update_reference
 from tools.config.schema import SCHEMA_FILE, format_schema

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from bus.errors import ConfigError
-from tools.config import examine, load_scenario
+from tools.config.loader import examine, load_scenario
 
 GOOD = """\
 name: bench

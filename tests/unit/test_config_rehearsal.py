@@ -9,9 +9,10 @@ import pytest
 
 from bus.errors import ConfigError
 from tools import cli
-from tools.config import examine, examine_text, load_text, rehearsal
+from tools.config import rehearsal
 from tools.config.check import check
 from tools.config.expect_checks import check_signal
+from tools.config.loader import examine, examine_text, load_text
 
 ROOT = Path(__file__).resolve().parents[2]
 ZHANG = ROOT / "scenarios" / "zhang2018.yaml"

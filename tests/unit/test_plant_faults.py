@@ -28,8 +28,8 @@ EXAMPLES = {  # magnitudes for every kind
     "idle": {}, "jump": {"torque_nm": 0.01}, "bias_torque": {"torque_nm": 0.01}, "total_failure": {},
 }  # fmt: skip
 UNIT_OF = {"wheel": "wheel.2", "gyro": "gyro.y", "star_tracker": "star_tracker"}
-# the kinds of all units that a plant of ideal wheels has; all others of wheels: test_fault_catalogue.py
-EVERY = [(UNIT_OF[family], kind) for family, kinds in KINDS.items() for kind in kinds if kind in EXAMPLES]
+# the kinds of a plant of ideal wheels; other ones of wheels: test_fault_catalogue.py, those of the bus: test_wire.py
+EVERY = [(unit, kind) for family, unit in UNIT_OF.items() for kind in KINDS[family] if kind in EXAMPLES]
 
 
 def make_plant(faults=(), tick_s=0.1, preset="tactical"):

@@ -16,11 +16,13 @@ from tools.design.fault_pictures import PICTURES, SHOWN_FROM_S, SHOWN_TO_S, draw
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "faults.md"
-FAILURE_UNITS = {0: "SENSOR_GYRO", 6: "SENSOR_VIO (the star tracker)", 101: "SYSTEM_MOTOR", 106: "SYSTEM_ESC"}
+FAILURE_UNITS = {
+    0: "SENSOR_GYRO", 6: "SENSOR_VIO (the star tracker)", 101: "SYSTEM_MOTOR", 106: "SYSTEM_ESC", 109: "BUS_CAN",
+}  # fmt: skip
 FAILURE_TYPES = {
     1: "OFF", 2: "STUCK", 3: "GARBAGE", 4: "WRONG", 5: "SLOW", 6: "DELAYED", 7: "INTERMITTENT", 8: "DRIFT",
 }  # fmt: skip
-TITLES = {"wheel": "Wheels", "gyro": "Gyro", "star_tracker": "Star tracker"}
+TITLES = {"wheel": "Wheels", "gyro": "Gyro", "star_tracker": "Star tracker", "bus": "Bus"}
 
 INTRODUCTION = """# Faults: the catalogue
 

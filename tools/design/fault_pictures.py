@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 
 from bus.settings import NOTHING, find_unit, strip_annotations
 from plant_server.faults import Fault, FaultTimeline, make_fault, parts_of
-from plant_server.faults.effects import Effect, GyroSample, StarSample, WheelDisturbance
+from plant_server.faults.effects import BusFrame, Effect, GyroSample, StarSample, WheelDisturbance
 from plant_server.faults.fault import magnitudes_of
 from plant_server.noise import open_normals
 from tools.config.fault_reference import UNITS_OF
@@ -29,7 +29,12 @@ STEP_S = 0.1
 SEED = 1
 SIZES = {"N m": 0.01, "rad/s": 0.01, "rad/s^2": 2e-4}  # of a magnitude that is needed and has no limits, by unit
 
-Record = WheelDisturbance | GyroSample | StarSample
+BUS_LABELS = {
+    "lost": "frame arrives", "delay_s": "frame late by [s]", "copies": "copies", "swapped": "overtaken",
+    "broken_bits": "bits turned", "dlc": "data bytes", "is_off": "frame is sent", "is_blocked": "frame is sent",
+    "extra_hz": "frames more\na second", "forged": "second sender",
+}  # fmt: skip
+Record = WheelDisturbance | GyroSample | StarSample | BusFrame
 Trace = list[float]
 
 
@@ -92,6 +97,7 @@ def trace_fault(fault: Fault) -> tuple[Trace, Trace, Trace, str]:
         record, plain = _make_record(fault.effect.family, t_s, noise(), last)
         for entry in chain.active:
             entry.bring_to(t_s, _turn(t_s))
+            entry.draw_each()
             entry.effect.disturb(record, entry.now)  # type: ignore[attr-defined]
         times.append(t_s)
         before.append(plain)
@@ -119,6 +125,8 @@ def _make_record(family: str, t_s: float, noise: float, last: float) -> tuple[An
         white = 1e-3 * noise
         rate = 0.02 * math.sin(math.pi * t_s / 15.0) + white
         return GyroSample(rate, white, last), GyroSample(rate, white, last)
+    if family == "bus":
+        return BusFrame(), BusFrame()
     return StarSample(), StarSample()
 
 
@@ -159,6 +167,13 @@ def _look_at_frames(t_s: float, record: StarSample) -> float:
     return 0.0 if record.lost else 1.0
 
 
+def _look_at_bus(record: BusFrame, name: str) -> float:
+    value = getattr(record, name)
+    if name in ("lost", "is_off", "is_blocked"):
+        return 0.0 if value else 1.0
+    return float(len(value) if isinstance(value, tuple) else 8 if name == "dlc" and value < 0 else value)
+
+
 def _find_observable(before: list[Any], after: list[Any]) -> tuple[str, Callable[[float, Any], float]]:
     """Return what is shown of the records, and how to read it from one."""
     if isinstance(after[0], GyroSample):
@@ -167,9 +182,11 @@ def _find_observable(before: list[Any], after: list[Any]) -> tuple[str, Callable
         return "frame sent", _look_at_frames
     changed = [
         name
-        for name in WheelDisturbance.__slots__
+        for name in type(after[0]).__slots__
         if any(getattr(a, name) != getattr(b, name) for a, b in zip(before, after, strict=True))
     ]
+    if isinstance(after[0], BusFrame):
+        return BUS_LABELS[changed[0]], lambda t_s, record: _look_at_bus(record, changed[0])
     if any(name.startswith("speed_") for name in changed):
         return "speed reported\n[rad/s]", _look_at_speed
     if any(name.startswith("current_") for name in changed):

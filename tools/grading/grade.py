@@ -7,6 +7,7 @@ nothing outside it is read. What the log lacks is never passed over: a requireme
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -65,8 +66,8 @@ def grade_file(path: Path) -> Grade:
     return grade_run(run, scenario_of(run, path))
 
 
-def scenario_of(run: Run, path: Path) -> Resolved:
-    """The resolved scenario that a log carries, and nothing but what it carries.
+def scenario_of(run: Run, path: Path, overrides: Sequence[str] = ()) -> Resolved:
+    """The resolved scenario that a log carries, and nothing but what it carries; `overrides`: key.path=value words.
 
     Raises RecordError when it carries none, or a damaged one; ConfigError when it is not sound or refers to a file.
     """
@@ -81,7 +82,7 @@ def scenario_of(run: Run, path: Path) -> Resolved:
         text = data.decode()
     except UnicodeDecodeError:
         raise RecordError(f"{name}: the attached scenario is not UTF-8 text") from None
-    return load_text(text, name, files=False)
+    return load_text(text, name, overrides, files=False)
 
 
 def make_timetable(resolved: Resolved) -> Timetable:

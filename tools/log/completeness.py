@@ -177,6 +177,7 @@ def _list_tick_topics(run: Run) -> list[TopicInfo]:
     return [
         info for name, info in run.topics.items()
         if info.encoding == "cdr"
+        and info.every != "irregular"
         and (info.source in (PLANT, FSW) or name.startswith(("/truth/", "/fsw/")))
         and (info.schema_name == FRAMES_SCHEMA or not name.startswith("/can/"))
     ]  # fmt: skip

@@ -161,7 +161,7 @@ class Run:
             for name in names
         }
         at = dict.fromkeys(missing, 0)
-        for stretch in self._content.stretches():
+        for stretch in self._content.stretches(owner):
             for channel, rows in stretch.table.split():
                 topic = owner.get(channel)
                 if topic is not None:
@@ -183,7 +183,7 @@ class Run:
         """Log times [ns] and all fields of a topic as a structured array, chunk by chunk; nothing is kept."""
         self._layout(topic)
         channels = self._info(topic).channels
-        for stretch in self._content.stretches():
+        for stretch in self._content.stretches(channels):
             rows = np.flatnonzero(np.isin(stretch.table.channel, channels))
             if rows.size:
                 yield stretch.table.log_time_ns[rows], self._gather(topic, stretch, rows)
@@ -193,7 +193,7 @@ class Run:
     def iterate(self, *topics: str) -> Iterator[LogRecord]:
         """The messages of these topics, in file order, one chunk in memory at a time."""
         channels = [channel for topic in topics for channel in self._info(topic).channels]
-        for stretch in self._content.stretches():
+        for stretch in self._content.stretches(channels):
             table = stretch.table
             rows = np.flatnonzero(np.isin(table.channel, channels))
             columns = (table.sequence, table.log_time_ns, table.offset, table.size)
@@ -203,7 +203,7 @@ class Run:
     def iterate_topics(self, *topics: str) -> Iterator[tuple[str, LogRecord]]:
         """The messages of these topics, each with its topic, in file order, one chunk in memory at a time."""
         owner = {channel: topic for topic in topics for channel in self._info(topic).channels}
-        for stretch in self._content.stretches():
+        for stretch in self._content.stretches(owner):
             table, data = stretch.table, stretch.data
             columns = (table.channel, table.sequence, table.log_time_ns, table.offset, table.size)
             for channel, sequence, t_ns, at, size in zip(*(column.tolist() for column in columns), strict=True):
@@ -270,7 +270,7 @@ class Run:
             if info.schema_name == FRAMES_SCHEMA and bus in (None, name.removeprefix("/can/"))
         ]  # fmt: skip
         channels = [channel for name in names for channel in self.topics[name].channels]
-        for stretch in self._content.stretches() if channels else ():
+        for stretch in self._content.stretches(channels):
             rows = np.flatnonzero(np.isin(stretch.table.channel, channels))
             if rows.size:
                 yield _read_frames(stretch, rows)
@@ -300,7 +300,7 @@ class Run:
         }  # fmt: skip
         total = hashlib.sha256()
         update = total.update
-        for stretch in self._content.stretches():
+        for stretch in self._content.stretches(names):
             view, table = memoryview(stretch.data), stretch.table
             columns = (table.channel, table.log_time_ns, table.offset, table.size)
             for channel, t, at, size in zip(*(column.tolist() for column in columns), strict=True):

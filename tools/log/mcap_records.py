@@ -13,7 +13,7 @@ import struct
 import weakref
 import zlib
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO, Final, NamedTuple
 
@@ -80,6 +80,7 @@ class McapContent:
         self.attachments: list[Attachment] = []
         self.pieces: list[Piece] = []
         self.tallies: dict[int, Tally] = {}  # by channel
+        self._there: list[frozenset[int]] = []  # channels that each of the pieces has messages of
         self.complete = False
         self.lost_chunks: list[LostChunk] = []
         self.damage: Counter[str] = Counter()  # what else is damaged -> how often
@@ -180,7 +181,8 @@ class McapContent:
 
     def _survey(self) -> None:
         """Read every chunk once: which are damaged, how many messages of which channel and tick there are."""
-        whole = []
+        whole: list[Piece] = []
+        kinds: dict[frozenset[int], frozenset[int]] = {}
         for piece in self.pieces:
             try:
                 stretch = self._open(piece)
@@ -195,16 +197,24 @@ class McapContent:
                     self._take(opcode, body)
             if piece.kind == 0:
                 self.salvaged = len(stretch.table.channel)
-            for channel, rows in stretch.table.split():
+            split = list(stretch.table.split())
+            for channel, rows in split:
                 self.tallies.setdefault(channel, Tally()).add(
                     stretch.table.sequence[rows], stretch.table.log_time_ns[rows]
                 )
             whole.append(piece)
+            there = frozenset([channel for channel, _ in split])
+            self._there.append(kinds.setdefault(there, there))
         self.pieces = whole
 
-    def stretches(self) -> Iterator[Stretch]:
-        """The chunks that can be read, in file order, one at a time."""
-        for piece in self.pieces:
+    def stretches(self, channels: Collection[int] | None = None) -> Iterator[Stretch]:
+        """The chunks that can be read, in file order, one at a time.
+
+        channels : only those with a message of one of these; None: all
+        """
+        for piece, there in zip(self.pieces, self._there, strict=True):
+            if channels is not None and there.isdisjoint(channels):
+                continue
             try:
                 yield self._open(piece)
             except DamagedData as error:  # it was whole a moment ago

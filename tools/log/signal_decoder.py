@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import cantools
 import numpy as np
-from cantools.database.can import Database, Message, Signal
 from numpy.typing import NDArray
 
 from bus.errors import RecordError
+
+if TYPE_CHECKING:
+    from cantools.database.can import Message, Signal
 
 
 class MessageDecoder:
@@ -39,6 +40,9 @@ class MessageDecoder:
 
 
 def _find_message(dbc: str, name: str) -> Message:
+    import cantools  # a third of what reading a log takes to start, and few readers decode
+    from cantools.database.can import Database
+
     try:
         database = cantools.database.load_string(dbc, database_format="dbc", strict=False)
     except (cantools.Error, ValueError, KeyError, IndexError, RecursionError) as error:

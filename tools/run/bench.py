@@ -15,6 +15,7 @@ It is what `--clock inprocess` runs, and what tests, studies and campaigns use.
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import importlib
 import os
 import weakref
@@ -88,7 +89,8 @@ class Bench:
             plant_link or TelemetryLink(None, PLANT_SOURCE, False),
             fsw_link or TelemetryLink(None, FSW_SOURCE, False),
         ]
-        self.plant_node = PlantNode(plant, self._links[0], self.tick_ns, resolved.run_hash)
+        bus = dataclasses.replace(scenario.bus, address="memory:")  # whatever it is, no frame leaves this process
+        self.plant_node = PlantNode(plant, self._links[0], self.tick_ns, resolved.run_hash, bus=bus)
         timeline = [make_command(entry, tick_s) for entry in scenario.fsw.timeline]
         self.fsw_node = FswNode(self.flight, self._links[1], self.tick_ns, SystemClock(), timeline)
         self._grounds = self._open_grounds(ground_dir, log)

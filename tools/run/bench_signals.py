@@ -8,7 +8,16 @@ from typing import Any
 from bus.errors import UsageError
 from bus.words import suggest
 from fsw.flight import Flight
-from fsw.telemetry import CONTROL_TOPICS, TICK_TOPICS, flatten, read_control, read_internals, read_tick
+from fsw.telemetry import (
+    CONTROL_TOPICS,
+    LINK_HEALTH,
+    TICK_TOPICS,
+    flatten,
+    read_control,
+    read_internals,
+    read_link_health,
+    read_tick,
+)
 from plant_server.truth import TRUTH_FIELDS, Truth
 
 KNOWN = tuple(topic for topic in TICK_TOPICS if topic.deterministic)  # wall-clock times are nothing that a flight knows
@@ -28,7 +37,7 @@ def read_signal(signal: str, truth: Truth, flight: Flight) -> Any:
 
 def list_topics(flight: Flight) -> list[str]:
     """Names of the topics that can be read, as expectations write them."""
-    names = [*(topic.name for topic in (*KNOWN, *CONTROL_TOPICS)), *read_internals(flight)]
+    names = [*(topic.name for topic in (*KNOWN, *CONTROL_TOPICS, LINK_HEALTH)), *read_internals(flight)]
     return [*(f"truth.{group}" for group in TRUTH_FIELDS), *(name.strip("/").replace("/", ".") for name in names)]
 
 
@@ -41,7 +50,7 @@ def list_values(topic: str, truth: Truth, flight: Flight) -> dict[str, Any]:
     inside = read_internals(flight).get(path)
     if inside is not None:
         return dict(zip(type(inside)._fields, inside, strict=True))  # type: ignore[attr-defined]
-    for topics, read in ((KNOWN, read_tick), (CONTROL_TOPICS, read_control)):
+    for topics, read in ((KNOWN, read_tick), (CONTROL_TOPICS, read_control), ((LINK_HEALTH,), read_link_health)):
         if any(layout.name == path for layout in topics):
             values = iter(flatten(read(flight)))
             parts = {

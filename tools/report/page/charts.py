@@ -1,0 +1,186 @@
+"""Charts of a report as SVG text: drawn by matplotlib, with the page's own colour for text and axes.
+
+Fonts are the reader's, and whatever matplotlib draws black takes the colour of the text around it: so the same picture is
+right on light, dark and printed pages.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable
+from typing import Any, Final
+
+import numpy as np
+
+from tools.config.expect import Above, Below, Equals, Expectation, RmsBelow, RmsEquals, Settles, Within
+from tools.grading.expressions import Series
+from tools.report.info import FaultStory
+
+MAX_POINTS: Final = 1500  # of a line: more cannot be seen on a page
+SIZE: Final = (5.8, 2.3)  # inches
+LINE, BOUND, FAULT, WINDOW = "#2563a8", "#b3261e", "#b45f06", "#8888aa"
+MODE_COLOURS: Final = ("#8a8f98", "#b28704", "#2e7d4f", "#b3261e", "#b45f06")
+MODE_NAMES: Final = ("standby", "detumble", "point", "safe", "degraded")
+
+
+def _paint(draw: Callable[[Any], None], title: str, height: float = SIZE[1]) -> str:
+    """Return the SVG of one panel; `title` is what a screen reader says of it."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    settings = {
+        "svg.fonttype": "none",
+        "svg.hashsalt": "hilsat",
+        "font.size": 9.0,
+        "axes.spines.top": False,
+        "axes.spines.right": False,
+    }
+    with plt.rc_context(settings):
+        figure, axis = plt.subplots(figsize=(SIZE[0], height), layout="constrained")
+        try:
+            draw(axis)
+            text = io.StringIO()
+            figure.savefig(text, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
+        finally:
+            plt.close(figure)
+    return _adopt(text.getvalue(), title)
+
+
+def _adopt(svg: str, title: str) -> str:
+    """Make a file's SVG part of a page: no prolog, the page's colour and fonts, a name for who cannot see it."""
+    body = svg[svg.index("<svg") :]
+    head_end = body.index(">")
+    view = re.search(r'viewBox="[^"]*"', body[:head_end])
+    body = body[head_end + 1 :]
+    body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
+    body = re.sub(r"font: ([\d.]+px)[^;\"]*", r"font: \1 sans-serif", body)
+    body = body.replace("#000000", "currentColor").replace("stroke: black", "stroke: currentColor")
+    body = re.sub(r"<text ", '<text fill="currentColor" ', body)
+    label = title.replace("&", "&amp;").replace("<", "&lt;").replace('"', "&quot;")
+    head = f'<svg xmlns="http://www.w3.org/2000/svg" {view[0] if view else ""} role="img" aria-label="{label}">'
+    return f"{head}<title>{label}</title>{body}"
+
+
+def draw_signal(series: Series, name: str, unit: str, items: list[Expectation], faults: tuple[FaultStory, ...]) -> str:
+    """Return a signal over time, with what is asked of it and the faults."""
+    t_s, values = series.t_s, series.values
+    assert t_s is not None
+
+    def draw(axis: Any) -> None:
+        step = max(1, t_s.size // MAX_POINTS)
+        shown = _thin(values, step)
+        bounds = [bound for item in items for bound in _bounds_of(item)]
+        largest = float(np.nanmax(np.abs(values), initial=0.0))
+        # what settles, and what starts far beyond its bounds: on a straight scale nothing is to be seen of them
+        is_log = largest > 0.0 and (
+            any(isinstance(item, Settles) for item in items)
+            or bool(
+                np.nanmin(values, initial=0.0) >= 0.0 and bounds and min(bounds) > 0.0 and largest > 20.0 * max(bounds)
+            )
+        )
+        axis.plot(t_s[::step], np.maximum(np.abs(shown), 1e-12) if is_log else shown, color=LINE, lw=1.2)
+        if is_log:
+            axis.set_yscale("log")
+        for bound in bounds:
+            axis.axhline(bound, color=BOUND, lw=0.9, ls="--")
+        for item in items:
+            end = item.until_s if item.until_s is not None else float(t_s[-1])
+            if item.from_s > 0.0 or item.until_s is not None:
+                axis.axvspan(item.from_s, end, color=WINDOW, alpha=0.10, lw=0)
+        for fault in faults:
+            if fault.onset_s is not None:
+                axis.axvline(fault.onset_s, color=FAULT, lw=0.8, ls=":")
+        axis.set_xlim(float(t_s[0]), float(t_s[-1]) if t_s.size > 1 else float(t_s[0]) + 1.0)
+        axis.set_ylabel(f"[{unit}]" if unit else "", parse_math=False)
+        axis.set_xlabel("simulated time [s]")
+
+    ranges = (
+        f"from {np.nanmin(values):.4g} to {np.nanmax(values):.4g} {unit}"
+        if np.isfinite(values).any()
+        else "no number in it"
+    )
+    return _paint(draw, f"{name} over time, {ranges}")
+
+
+def _thin(values: Any, step: int) -> Any:
+    """Every step-th value; of each stretch the one that is largest in magnitude, so that no peak is lost."""
+    if step == 1:
+        return values
+    count = -(-len(values) // step)
+    padded = np.concatenate([values, np.full(count * step - len(values), values[-1])]).reshape(count, step)
+    pick = np.argmax(np.abs(np.nan_to_num(padded)), axis=1)
+    return padded[np.arange(count), pick]
+
+
+def _bounds_of(item: Expectation) -> list[float]:
+    match item:
+        case Settles() | Below() | Above():
+            return [item.bound]
+        case Within():
+            return [item.lower, item.upper]
+        case Equals():
+            return [item.value]
+        case RmsBelow():
+            return [item.bound]
+        case RmsEquals():
+            return [item.value]
+
+
+def draw_faults(faults: tuple[FaultStory, ...], end_s: float) -> str:
+    """Return when which fault was there, a bar each."""
+    rows = [fault for fault in faults if fault.onset_s is not None][:40]
+
+    def draw(axis: Any) -> None:
+        for row, fault in enumerate(rows):
+            onset = fault.onset_s or 0.0
+            axis.barh(
+                row, (fault.end_s if fault.end_s is not None else end_s) - onset, left=onset, color=FAULT, height=0.6
+            )
+        axis.set_yticks(range(len(rows)), [f"{fault.unit} {fault.kind}" for fault in rows], parse_math=False)
+        axis.invert_yaxis()
+        axis.set_xlim(0.0, max(end_s, 1e-3))
+        axis.set_xlabel("simulated time [s]")
+
+    words = "; ".join(f"{fault.unit} {fault.kind} from {fault.onset_s:g} s" for fault in rows)
+    return _paint(draw, f"Faults over time: {words}", 0.6 + 0.28 * len(rows))
+
+
+def draw_modes(t_s: Any, modes: Any, end_s: float) -> str:
+    """Return the mode of the flight software over time."""
+    starts = np.flatnonzero(np.diff(modes, prepend=modes[0] - 1))
+    ends = [*t_s[starts[1:]], end_s]
+    spans = [(float(t_s[at]), float(end), int(modes[at])) for at, end in zip(starts, ends, strict=True)]
+
+    def draw(axis: Any) -> None:
+        for start, end, mode in spans[:500]:
+            axis.barh(0, end - start, left=start, color=MODE_COLOURS[mode % 5], height=0.6)
+            if (end - start) > 0.08 * end_s:
+                axis.text((start + end) / 2, 0, _name_mode(mode), ha="center", va="center", color="white")
+        axis.set_yticks([])
+        axis.set_xlim(0.0, max(end_s, 1e-3))
+        axis.set_xlabel("simulated time [s]")
+
+    words = ", ".join(f"{_name_mode(mode)} from {start:g} s" for start, _, mode in spans[:12])
+    return _paint(draw, f"Modes over time: {words}", 1.0)
+
+
+def _name_mode(mode: int) -> str:
+    return MODE_NAMES[mode] if 0 <= mode < len(MODE_NAMES) else f"mode {mode}"
+
+
+def draw_cycle_times(cycle_us: Any) -> str:
+    """Return how long the cycles took."""
+    top = float(np.percentile(cycle_us, 99.9)) if cycle_us.size else 1.0
+
+    def draw(axis: Any) -> None:
+        axis.hist(np.minimum(cycle_us, top), bins=60, color=LINE)
+        axis.set_yscale("log")
+        axis.set_xlabel("time of a cycle [us], the longest 0.1 % in the last bar")
+        axis.set_ylabel("cycles")
+
+    return _paint(
+        draw, f"Histogram of cycle times: median {np.median(cycle_us):.0f} us, longest {cycle_us.max():.0f} us"
+    )
