@@ -69,7 +69,7 @@ def test_the_page_runs_as_written(tmp_path: Path, environment: dict[str, str]) -
             if " export " in command:
                 end(bench)
             logs = list(tmp_path.glob("runs/*/run.mcap"))
-            done = hilsat(command.replace("runs/.../run.mcap", str(logs[0])), tmp_path, environment)
+            done = hilsat(command.replace("runs/.../run.mcap", str(logs[0]) if logs else ""), tmp_path, environment)
             if command.startswith(REFUSED):
                 assert done.returncode == 2
                 assert "did you mean" in done.stderr
@@ -145,6 +145,38 @@ def test_ground_links_and_a_gateway_that_dies(tmp_path: Path, environment: dict[
     assert killed
     assert "gateway was killed by SIGKILL before the run was over; the run went on without it" in said
     assert "simulated                          5 s" in out
+
+
+@pytest.mark.slow
+def test_a_ground_station_breaks_a_wheel(tmp_path: Path, environment: dict[str, str]) -> None:
+    """INJECT_FAILURE to the vehicle, from pymavlink: accepted as by the vehicle, and wheel 2 is broken in the log."""
+    port = free_port()
+    command = f"hilsat run nominal --clock realtime --inject --mavlink udpin:{port} -q"
+    bench = start(command, tmp_path, environment)
+    program = (
+        "import os; os.environ['MAVLINK20'] = '1'\n"
+        "from pymavlink import mavutil\n"
+        f"link = mavutil.mavlink_connection('udpout:127.0.0.1:{port}', dialect='common')\n"
+        "sources = set()\n"
+        "for _ in range(100):\n"
+        "    link.mav.heartbeat_send(6, 8, 0, 0, 4)\n"
+        "    message = link.recv_match(type='HEARTBEAT', blocking=True, timeout=0.3)\n"
+        "    if message is not None and message.get_srcComponent() == 25:\n"
+        "        break\n"
+        "link.mav.command_long_send(1, 1, 420, 0, 101, 1, 2, float('nan'), 0, 0, 0)\n"
+        "message = link.recv_match(type='COMMAND_ACK', blocking=True, timeout=10)\n"
+        "print(message.command, message.result, message.get_srcSystem(), message.get_srcComponent())\n"
+    )
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False, env=environment
+        )
+        assert done.stdout.split() == ["420", "0", "1", "1"], done.stderr
+        time.sleep(1.0)
+    finally:
+        end(bench)
+    log = read_run(next(tmp_path.glob("runs/*/run.mcap")))
+    assert [fault["unit"] for fault in log.faults if fault["phase"] == "onset"] == ["wheel.2"]
 
 
 def free_port() -> int:

@@ -68,9 +68,7 @@ def export_faults(path: Path) -> ExportedFaults:
 
 def format_export(exported: ExportedFaults, log: Path, extends: str | None = None) -> str:
     """Return the list as YAML, for a scenario file. extends : the scenario that it belongs to; None: it is left open"""
-    head = (
-        f"# The faults of {str(log)!a}, as they acted. In a scenario file with `extends:` they replace its list.\n"
-    )
+    head = f"# The faults of {str(log)!a}, as they acted. In a scenario file with `extends:` they replace its list.\n"
     said = "".join(f"# not exactly: {problem}\n" for problem in exported.inexact)
     return head + said + write_yaml(({} if extends is None else {"extends": extends}) | {"faults": exported.faults})
 

@@ -192,7 +192,7 @@ def _format_status(reply: dict[str, Any]) -> str:
 
 
 def _clear(args: argparse.Namespace) -> int:
-    from plant_server.faults import UNITS
+    from plant_server.faults.units import UNITS
 
     if args.all == (args.what is not None):
         raise UsageError("clear takes the id of a fault or a unit, or --all; see hilsat inject list")
