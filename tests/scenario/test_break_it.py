@@ -7,6 +7,7 @@ import os
 import re
 import shlex
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -15,6 +16,7 @@ from pathlib import Path
 
 import pytest
 
+from bus.mavlink.dialect import MAVLink, MAVLink_command_long_message
 from tools.log.mcap_reader import read_run
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -179,9 +181,33 @@ def test_a_ground_station_breaks_a_wheel(tmp_path: Path, environment: dict[str, 
     assert [fault["unit"] for fault in log.faults if fault["phase"] == "onset"] == ["wheel.2"]
 
 
-def free_port() -> int:
-    import socket
+@pytest.mark.slow
+def test_a_link_and_a_flood_change_no_byte(tmp_path: Path, environment: dict[str, str]) -> None:
+    """In lock-step, with sockets, a gateway and thousands of messages a second from the ground: the same digest."""
+    quiet = hilsat("hilsat run zhang2018 -q --no-plot --json --out a", tmp_path, environment)
+    port = free_port()
+    flooded = subprocess.Popen(
+        [*HILSAT, *f"run zhang2018 -q --no-plot --json --out b --inject --mavlink udpin:{port}".split()],
+        cwd=tmp_path, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    protocol = MAVLink(None, 255, 190)
+    sent = 0
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ground:
+        while flooded.poll() is None:
+            for number in (512, 31000, 420):
+                message = MAVLink_command_long_message(1, 25, number, 0, 9999.0, 9.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+                ground.sendto(bytes(message.pack(protocol)), ("127.0.0.1", port))
+                sent += 1
+            time.sleep(0.0005)
+    out, said = flooded.communicate(timeout=60)
+    assert sent > 1000
+    assert f"gateway, udpin:{port}: refused" in said
+    reports = [json.loads(quiet.stdout), json.loads(out)]
+    assert [report["exit_code"] for report in reports] == [0, 0]
+    assert reports[0]["figures"]["digest of the run"] == reports[1]["figures"]["digest of the run"]
 
+
+def free_port() -> int:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
