@@ -28,7 +28,7 @@ EXAMPLES = {  # magnitudes for every kind
     "idle": {}, "jump": {"torque_nm": 0.01}, "bias_torque": {"torque_nm": 0.01}, "total_failure": {},
 }  # fmt: skip
 UNIT_OF = {"wheel": "wheel.2", "gyro": "gyro.y", "star_tracker": "star_tracker"}
-# the kinds that a plant of ideal wheels has; the other ones of wheels: test_fault_catalogue.py, those of the bus: test_wire.py
+# the kinds that a plant of ideal wheels has; others of wheels: test_fault_catalogue.py, those of the bus: test_wire.py
 EVERY = [(unit, kind) for family, unit in UNIT_OF.items() for kind in KINDS[family] if kind in EXAMPLES]
 
 
