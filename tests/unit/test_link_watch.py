@@ -54,8 +54,8 @@ def test_nothing_is_said_while_all_is_well() -> None:
 
 @pytest.mark.parametrize(("place", "unit"), [(0, "wheel.1"), (3, "wheel.4"), (4, "gyro.x"), (6, "gyro.z")])
 def test_a_unit_that_falls_silent_is_named_once_and_so_is_its_return(place: int, unit: str) -> None:
-    """After 10 ticks without a frame, with the tick from which on it is missing; back with the second frame, which is the first
-    that the alive counter lets in.
+    """After 10 ticks without a frame, with the tick from which on it is missing; back with the second frame, which is
+    the first that the alive counter lets in.
     """
     inputs = make_inputs()
     assert fly(inputs, 0, 100) == []
