@@ -197,7 +197,7 @@ class Component:
             self._take(message, address)
 
     def send(self) -> None:
-        """Send what is due. Bounded: at most AT_ONCE waiting messages to each receiver, each stream once to each listener."""
+        """Send what is due. Bounded: AT_ONCE waiting messages to each receiver, each stream once to each listener."""
         if self._later:
             self._send_waiting()
         now_ns = self._clock.now_ns()

@@ -105,7 +105,9 @@ def grade_run(run: Run, resolved: Resolved) -> Grade:
     completeness = check_completeness(run, timetable)
     verdicts = [judge(run, item, completeness, timetable) for item in scenario.expect]
     verdicts += judge_faults(faults, scenario.faults, completeness, timetable)
-    verdicts += [judge_senders(run), _judge_completeness(completeness)]
+    if not any(fault.effect.brings_rivals for fault in scenario.faults):
+        verdicts.append(judge_senders(run))
+    verdicts.append(_judge_completeness(completeness))
     required = len(scenario.expect) + len(scenario.faults)
     return Grade(scenario.name, tuple(verdicts), _complete(run, timetable), required)
 
