@@ -51,6 +51,9 @@ class Judged:
     """What every expectation says: which signal, over which window, and where the figure comes from."""
 
     name: Annotated[str, Text(120)]  # the requirement, as the report shows it
+    id: Annotated[str, Text(40)] | None = None  # of a requirement that others refer to, such as ADCS-012
+    text: Annotated[str, Text(400)] = ""  # the requirement in full, as its document has it
+    severity: Literal["high", "medium", "low"] | None = None  # for reports; whatever it is, a fail is a fail
     signal: SignalText  # expression, see docs/scenarios.md
     from_s: Time = 0.0  # start of the window
     until_s: Duration | None = None  # end of the window; None: end of the run

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from typing import Any
 
@@ -23,6 +24,14 @@ FEWEST = 2  # samples from which something can be said to settle or to hold
 def judge(
     run: Run, item: Expectation, completeness: Completeness | None = None, timetable: Timetable | None = None
 ) -> Verdict:
+    """The verdict on one expectation, under its id where it has one: see `_judge`."""
+    verdict = _judge(run, item, completeness, timetable)
+    if item.id is None and item.severity is None and not item.text:
+        return verdict
+    return dataclasses.replace(verdict, id=item.id or "", severity=item.severity or "", text=item.text)
+
+
+def _judge(run: Run, item: Expectation, completeness: Completeness | None, timetable: Timetable | None) -> Verdict:
     """The verdict on one expectation.
 
     completeness, timetable : what the log lacks, and of which ticks; an expectation that needs a missing tick is not
@@ -94,17 +103,7 @@ def _list_missing(
 def _add_note(verdict: Verdict, note: str) -> Verdict:
     if not note:
         return verdict
-    detail = f"{verdict.detail}; {note}" if verdict.detail else note
-    return Verdict(
-        verdict.name,
-        verdict.outcome,
-        verdict.value,
-        verdict.bound,
-        verdict.margin,
-        verdict.unit,
-        detail,
-        verdict.source,
-    )
+    return dataclasses.replace(verdict, detail=f"{verdict.detail}; {note}" if verdict.detail else note)
 
 
 def _unexecuted(item: Expectation, detail: str) -> Verdict:
