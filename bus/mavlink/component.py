@@ -197,7 +197,7 @@ class Component:
             self._take(message, address)
 
     def send(self) -> None:
-        """Send what is due. Bounded: at most AT_ONCE waiting messages to each, and each stream once to every listener."""
+        """Send what is due. Bounded: AT_ONCE waiting messages to each receiver, each stream once to each listener."""
         if self._later:
             self._send_waiting()
         now_ns = self._clock.now_ns()
@@ -209,8 +209,8 @@ class Component:
         """Whether anybody is there to hear a stream or a text."""
         return bool(self._addresses)
 
-    def say(self, severity: int, text: str) -> None:
-        """Queue a STATUSTEXT for every listener, in as many parts as it takes."""
+    def say(self, severity: int, text: str, also: str = "") -> None:
+        """Queue a STATUSTEXT for every listener, and for an address besides, in as many parts as it takes."""
         raw = text.encode("utf-8", "replace")
         parts = [raw[i : i + TEXT_SIZE] for i in range(0, len(raw), TEXT_SIZE)] or [b""]
         number = 0
@@ -220,6 +220,8 @@ class Component:
             message = MAVLink_statustext_message(severity, part, number, i)
             for address in self._addresses:  # not at once: a word that finds the queue full must not be lost for that
                 self.send_later(message, address)
+            if also and also not in self._listeners:
+                self.send_later(message, also)
 
     def broadcast(self, message: Message) -> None:
         """Send a message to every listener."""
@@ -407,7 +409,7 @@ class Component:
         error, why = _try_write(item, value)
         if error:
             self._refuse_parameter(message, name, index, error, address)
-            self.say(words.WARNING, f"{name} not set: {why}")
+            self.say(words.WARNING, f"{name} not set: {why}", address)
         self.send_later(self._make_value(index), address)
 
     def _refuse_parameter(self, message: Message, name: str, index: int, error: int, address: str) -> None:

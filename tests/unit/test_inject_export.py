@@ -151,5 +151,7 @@ def test_a_log_without_commands_gives_its_own_list(tmp_path: Path, capsys: pytes
     log = fly(tmp_path, lambda bench: None)
     assert main(["inject", "export", str(log)]) == 0
     assert "slope_rad_s2: 1.0e-06" in capsys.readouterr().out
+    assert main(["inject", "export", str(log), "--extends", SCENARIO]) == 0
+    assert f"extends: {SCENARIO}\nfaults:\n" in capsys.readouterr().out
     (tmp_path / "none.mcap").write_text(json.dumps({}))
     assert main(["inject", "export", str(tmp_path / "none.mcap")]) == 3

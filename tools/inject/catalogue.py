@@ -54,6 +54,6 @@ def format_kinds(kinds: list[Kind]) -> str:
 
 def _format_key(key: dict[str, Any]) -> str:
     words = [f"[{key['unit']}]" if key.get("unit") else "", str(key.get("limits") or "")]
-    if "default" in key:
-        words.append("may be left out" if key["default"] is None else f"default {key['default']}")
+    if not key.get("needed", "default" not in key):
+        words.append("may be left out" if key.get("default") is None else f"default {key['default']}")
     return f"{key['name']}=  {'  '.join(word for word in words if word)}".rstrip()

@@ -28,7 +28,7 @@ from bus.attitude import angle_between
 from bus.build import CURRENT
 from bus.clock import SystemClock
 from bus.commands import Command
-from bus.errors import ConfigError, RecordError, UsageError
+from bus.errors import ConfigError, HilsatError, RecordError, UsageError
 from bus.settings import build
 from bus.telemetry.link import Link, TelemetryLink
 from bus.units import DEG
@@ -235,14 +235,16 @@ class Bench:
             return []
         out = log.parent if isinstance(log, Path) else None
         bench = describe_bench(self.resolved, directory.absolute(), address="in process", out=out, linked=True)
-        grounds = []
-        for room, node, socket in (
-            ("plant_server.ground", self.plant_node, bench.plant),
-            ("fsw.ground", self.fsw_node, bench.fsw),
-        ):
-            open_ground = importlib.import_module(room).open_ground
-            grounds.append(open_ground(node, ground_of(bench, socket), SystemClock()))
-        write_run_file(directory, bench)
+        plant, fsw = (importlib.import_module(room).open_ground for room in ("plant_server.ground", "fsw.ground"))
+        clock, name = SystemClock(), self.resolved.scenario.name
+        grounds = [plant(self.plant_node, ground_of(bench, bench.plant), clock, name=name, ticks=self.ticks)]
+        try:
+            grounds.append(fsw(self.fsw_node, ground_of(bench, bench.fsw), clock))
+            write_run_file(directory, bench)
+        except HilsatError:
+            for ground in grounds:
+                ground.close()
+            raise
         return grounds
 
     def __enter__(self) -> Self:

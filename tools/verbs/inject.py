@@ -62,6 +62,7 @@ def add_parser(subparsers: Any) -> None:
     made["clear"].add_argument("--all", action="store_true", help="every fault")
     made["export"].add_argument("log", type=Path, metavar="LOG", help="MCAP file of a run")
     made["export"].add_argument("-o", "--output", type=Path, metavar="FILE", help="where to write it (default: stdout)")
+    made["export"].add_argument("--extends", metavar="SCENARIO", help="make it a scenario that changes this one")
     made["export"].add_argument("--force", action="store_true", help="replace a file of that name")
     made["completion"].add_argument("shell", choices=["bash"])
     for name in ("set", "list", "catalogue", "status", "clear"):
@@ -191,7 +192,7 @@ def _format_status(reply: dict[str, Any]) -> str:
 
 
 def _clear(args: argparse.Namespace) -> int:
-    from plant_server.faults import UNITS
+    from plant_server.faults.units import UNITS
 
     if args.all == (args.what is not None):
         raise UsageError("clear takes the id of a fault or a unit, or --all; see hilsat inject list")
@@ -226,7 +227,7 @@ def _export(args: argparse.Namespace) -> int:
     from tools.log.outputs import create
 
     exported = export_faults(args.log)
-    text = format_export(exported, args.log)
+    text = format_export(exported, args.log, args.extends)
     if args.output is None:
         print(text, end="")
     else:

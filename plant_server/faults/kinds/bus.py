@@ -109,6 +109,7 @@ class Duplicate(BusEffect):
 class Reorder(BusEffect):
     """with `probability` per frame, it arrives behind the next one of its id"""
 
+    brings_rivals = True
     draws_each = 1
     equation = "frames"
     seen_in = "a controller with several transmit buffers, a gateway with two paths"
@@ -265,12 +266,12 @@ class Babble(BusEffect):
 class Masquerade(BusEffect):
     """once a tick a node sends a frame of another node's `can_id`, with right checksum and a counter of its own"""
 
+    brings_rivals = True
     rises = False
     switches = True
     sends_only = True
     equation = "frames; the two senders of an id show in the alive counters, and are counted as rivals"
     seen_in = "a node that was configured with another's id, a replayed recording, an intruder"
-    failures = ((109, 4),)
     node: Node = "wheel.2"  # which
     can_id: CanId = 0x190  # of another node
     content: Literal["stale", "foreign"] = (
