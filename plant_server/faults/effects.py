@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from typing import ClassVar, TypeVar
+from typing import ClassVar, Final, TypeVar
 
 from plant_server.config import PlantConfig
 from plant_server.faults.bus_nodes import ALL, PACING_IDS, ROUTES, Node
@@ -173,11 +173,22 @@ class Effect:
         return None
 
 
+LEAST: Final = 1e-9  # in SI units: a magnitude that is nearer than this to the one that changes nothing changes nothing
+SPEED_STEP_RAD_S: Final = 1e-3  # of a wheel's telemetry frame: what is less does not leave the unit
+CURRENT_STEP_A: Final = 1e-3
+
+
+def is_neutral(value: float, neutral: float) -> bool:
+    """Return whether a magnitude is the one that changes nothing, as nearly as matters."""
+    return abs(value - neutral) < LEAST
+
+
 class WheelEffect(Effect):
     """A kind of wheel fault."""
 
     __slots__ = ()
     needs_motor: ClassVar[bool] = False  # changes what an ideal wheel has not: driver, current, supply, lubricant
+    reports: ClassVar[bool] = False  # changes what the wheel reports alone, and so nothing between two samples
 
     def explain_futile(self, plant: PlantConfig | None, unit: str) -> str | None:
         """Return why, when it needs a motor and the wheel is an ideal one."""

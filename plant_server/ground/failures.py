@@ -13,7 +13,7 @@ from typing import Any, Final
 
 from bus.settings import NOTHING
 from plant_server.faults import GYRO_AXES, KINDS, STAR_TRACKER, UNITS, WHEELS
-from plant_server.faults.effects import Effect
+from plant_server.faults.effects import Effect, WheelEffect
 from plant_server.faults.fault import magnitudes_of
 
 GYRO, TRACKER, MOTOR, ESC, BUS = 0, 6, 101, 106, 109
@@ -32,12 +32,10 @@ INSTANCES: Final = {
 }
 FAMILY_OF: Final = {GYRO: "gyro", TRACKER: "star_tracker", MOTOR: "wheel", ESC: "wheel", BUS: "bus"}
 # kinds of a wheel's fault that change what it reports; the others change what it does, one does both
-TELEMETRY_KINDS: Final = frozenset(
-    name
-    for name, cls in KINDS["wheel"].items()
-    if name == "silent" or cls.__module__.endswith((".wheel_node", ".wheel_telemetry"))
-)
 BOTH: Final = frozenset({"total_failure"})
+TELEMETRY_KINDS: Final = BOTH | {
+    name for name, cls in KINDS["wheel"].items() if issubclass(cls, WheelEffect) and cls.reports
+}
 
 
 @dataclass(frozen=True, slots=True)

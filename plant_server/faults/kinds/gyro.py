@@ -8,14 +8,14 @@ from typing import Annotated, Literal
 
 from bus.units import Ge, Gt, Le, RadS, Unit
 from plant_server.config import PlantConfig
-from plant_server.faults.effects import Acting, GyroEffect, GyroSample, register
+from plant_server.faults.effects import Acting, GyroEffect, GyroSample, is_neutral, register
 from plant_server.gyro.presets import fill_preset
 
 Probability = Annotated[float, Gt(0), Le(1)]
 
 
 def _refuse_zero(rate_rad_s: float) -> str | None:
-    return "0 rad/s has no effect; give rate_rad_s another value" if rate_rad_s == 0.0 else None
+    return "0 rad/s has no effect; give rate_rad_s another value" if is_neutral(rate_rad_s, 0.0) else None
 
 
 @register("gyro", "constant")
@@ -76,7 +76,11 @@ class Ramp(GyroEffect):
 
     def explain_futile(self, plant: PlantConfig | None, unit: str) -> str | None:
         """Return why, when the slope is zero."""
-        return "a slope of 0 has no effect; give slope_rad_s2 another value" if self.slope_rad_s2 == 0.0 else None
+        return (
+            "a slope of 0 has no effect; give slope_rad_s2 another value"
+            if is_neutral(self.slope_rad_s2, 0.0)
+            else None
+        )
 
 
 @register("gyro", "stuck")
@@ -130,7 +134,7 @@ class Noise(GyroEffect):
 
     def explain_futile(self, plant: PlantConfig | None, unit: str) -> str | None:
         """Return why, when the noise stays what it is or there is none."""
-        if self.factor == 1.0:
+        if is_neutral(self.factor, 1.0):
             return "noise by a factor of 1 has no effect; give another factor"
         if plant is not None and not fill_preset(plant.gyro).arw_rad_sqrt_s > 0.0:
             preset = plant.gyro.preset
@@ -153,7 +157,7 @@ class Scale(GyroEffect):
 
     def explain_futile(self, plant: PlantConfig | None, unit: str) -> str | None:
         """Return why, when the factor is zero."""
-        return "a scale factor of 0 has no effect; give another factor" if self.factor == 0.0 else None
+        return "a scale factor of 0 has no effect; give another factor" if is_neutral(self.factor, 0.0) else None
 
 
 @register("gyro", "spikes")

@@ -8,7 +8,7 @@ from typing import Annotated
 
 from bus.units import Ge, Gt, Le, NewtonMetre, RadS, Seconds
 from plant_server.config import PlantConfig
-from plant_server.faults.effects import Acting, WheelDisturbance, WheelEffect, register
+from plant_server.faults.effects import Acting, WheelDisturbance, WheelEffect, is_neutral, register
 from plant_server.faults.profiles import Intermittent, LinearRise
 from plant_server.faults.units import WHEELS
 
@@ -39,7 +39,7 @@ class CoulombFriction(WheelEffect):
 
     def explain_futile(self, plant: PlantConfig | None, unit: str) -> str | None:
         """Return why, when the factor is 1 or there is nothing to scale."""
-        if self.coulomb_gain == 1.0:
+        if is_neutral(self.coulomb_gain, 1.0):
             return "a factor of 1 has no effect; give coulomb_gain another value"
         return _explain_without_friction(plant, unit, "coulomb_nm")
 
@@ -59,7 +59,7 @@ class ViscousFriction(WheelEffect):
 
     def explain_futile(self, plant: PlantConfig | None, unit: str) -> str | None:
         """Return why, when the factor is 1 or there is nothing to scale."""
-        if self.viscous_gain == 1.0:
+        if is_neutral(self.viscous_gain, 1.0):
             return "a factor of 1 has no effect; give viscous_gain another value"
         return _explain_without_friction(plant, unit, "viscous_nm_s")
 
