@@ -129,6 +129,7 @@ class ActiveFault(Generic[K]):
         """Draw the random numbers of this step or sample; keep what the kind remembers of the time since the last one."""
         now, effect = self.now, self.effect
         self._is_new = False
+        now.count += 1
         if self._draw is not None:
             now.drawn = tuple([self._draw() for _ in range(effect.draws)])
         if effect.remembers:

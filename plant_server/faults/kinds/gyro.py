@@ -167,7 +167,6 @@ class Spikes(GyroEffect):
 
     equation = "y + f now and then"
     seen_in = "charged particles"
-    failures = ((0, 3),)
     draws = 2
     rate_rad_s: RadS
     probability: Probability
@@ -198,3 +197,67 @@ class Intermittent(GyroEffect):
         """Send nothing when chance has it."""
         if now.drawn[0] < now.level * self.probability:
             sample.silent = True
+
+
+@register("gyro", "garbage")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Garbage(GyroEffect):
+    """the rate is any number within +-`rate_rad_s`, anew with every sample"""
+
+    rises = False
+    switches = True
+    draws = 1
+    equation = "y = random"
+    seen_in = "a converter or a memory gone wrong"
+    failures = ((0, 3),)
+    rate_rad_s: Annotated[RadS, Gt(0)] = 0.5
+
+    def disturb(self, sample: GyroSample, now: Acting) -> None:
+        """Put a random rate in place of what there was."""
+        if now.level > 0.0:
+            sample.shift_to((2.0 * now.drawn[0] - 1.0) * self.rate_rad_s)
+
+    def explain_futile(self, plant: PlantConfig | None, unit: str) -> str | None:
+        """Return why, when the rates have no size."""
+        return _refuse_zero(self.rate_rad_s)
+
+
+@register("gyro", "half_rate")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HalfRate(GyroEffect):
+    """every other frame is missing"""
+
+    rises = False
+    switches = True
+    remembers = True
+    equation = "rate frames"
+    seen_in = "an overloaded processor in the unit"
+    failures = ((0, 5),)
+
+    def disturb(self, sample: GyroSample, now: Acting) -> None:
+        """Send nothing on every second sample."""
+        if now.level > 0.0 and now.count % 2 == 0:
+            sample.silent = True
+
+
+@register("gyro", "late")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Late(GyroEffect):
+    """the rate is that of `ticks` samples ago; until there is one, the last before the onset"""
+
+    rises = False
+    switches = True
+    equation = "y(t - T)"
+    seen_in = "a queue that has filled up, a filter with more delay than was known"
+    failures = ((0, 6),)
+    ticks: Annotated[int, Ge(1), Le(100)] = 5
+
+    def disturb(self, sample: GyroSample, now: Acting) -> None:
+        """Hold the rate back."""
+        if now.past_s != now.t_s:  # a look that is repeated is no new sample
+            now.past_s = now.t_s
+            if not now.past_rad_s:
+                now.past_rad_s = [sample.last_rad_s] * self.ticks
+            now.past_rad_s = [*now.past_rad_s[-self.ticks :], sample.rate_rad_s]
+        if now.level > 0.0:
+            sample.shift_to(now.past_rad_s[0])

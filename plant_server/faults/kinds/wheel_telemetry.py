@@ -136,6 +136,32 @@ class TachQuantise(WheelEffect):
         return _refuse_fine("step_rad_s", self.step_rad_s, SPEED_STEP_RAD_S, "rad/s")
 
 
+@register("wheel", "tach_garbage")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TachGarbage(WheelEffect):
+    """the telemetered speed is any number within +-`speed_rad_s`, anew each time"""
+
+    rises = False
+    switches = True
+    last = True
+    draws = 1
+    reports = True
+    equation = SPEED
+    seen_in = "noise on the lines of the tachometer"
+    failures = ((106, 3),)
+    speed_rad_s: Annotated[RadS, Gt(0)] = 300.0
+
+    def disturb(self, wheel: WheelDisturbance, now: Acting) -> None:
+        """Put a random reading in place of the true one."""
+        if now.level > 0.0:
+            wheel.speed_gain = 0.0
+            wheel.speed_offset_rad_s = (2.0 * now.drawn[0] - 1.0) * self.speed_rad_s
+
+    def explain_futile(self, plant: PlantConfig | None, unit: str) -> str | None:
+        """Return why, when the readings have no size."""
+        return _refuse(self.speed_rad_s, 0.0, "speed_rad_s")
+
+
 # -- current -------------------------------------------------------------------------------------------------------
 
 
