@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from typing import ClassVar, TypeVar
+from typing import ClassVar, Final, TypeVar
 
+from bus.units import Vec3
 from plant_server.config import PlantConfig
 from plant_server.faults.bus_nodes import ALL, PACING_IDS, ROUTES, Node
 from plant_server.faults.profiles import STEP, Profile
@@ -19,7 +20,10 @@ from plant_server.faults.units import FAMILIES, WHEELS
 class Acting:
     """What an effect is told: how far its fault has come on at this moment, and what fell by chance."""
 
-    __slots__ = ("drawn", "elapsed_s", "fast_s", "held_rad_s", "level", "speed_rad_s", "start_s", "t_s")
+    __slots__ = (
+        "count", "drawn", "elapsed_s", "fast_s", "held_rad_s", "level", "past_rad_s", "past_s", "speed_rad_s", "start_s",
+        "t_s",
+    )  # fmt: skip
 
     def __init__(self, start_s: float) -> None:
         self.start_s = start_s
@@ -29,6 +33,9 @@ class Acting:
         self.drawn: tuple[float, ...] = ()  # uniform on [0, 1), anew for every sample, as many as the kind asks for
         self.speed_rad_s = 0.0  # wheel: of the rotor, relative to the body, at the start of the integration step
         self.held_rad_s: float | None = None  # gyro: the output that was held at the onset
+        self.count = 0  # of steps or samples since the onset, for kinds that remember
+        self.past_rad_s: list[float] = []  # gyro: its last rates, for kinds that delay them,
+        self.past_s = -1.0  # and when the latest was taken
         self.fast_s = 0.0  # wheel: for how long it has run fast since the onset, for kinds that heal by that
 
 
@@ -102,10 +109,22 @@ class GyroSample:
 class StarSample:
     """One message of the star tracker on its way through the faults."""
 
-    __slots__ = ("lost",)
+    __slots__ = ("frozen", "late_ticks", "lost", "random", "turn_b_rad")
 
     def __init__(self) -> None:
         self.lost = False
+        self.frozen = False  # it carries the attitude of the last one
+        self.random: tuple[float, float, float] | None = (
+            None  # it carries any attitude: three numbers on [0, 1) say which
+        )
+        self.turn_b_rad: Vec3 = (0.0, 0.0, 0.0)  # by which its attitude is turned, about axes of the body
+        self.late_ticks = 0
+
+    def turn(self, axis: str, angle_rad: float) -> None:
+        """Turn the attitude about an axis of the body; several turns add up as rotation vectors."""
+        x, y, z = self.turn_b_rad
+        more = {"x": (angle_rad, 0.0, 0.0), "y": (0.0, angle_rad, 0.0), "z": (0.0, 0.0, angle_rad)}[axis]
+        self.turn_b_rad = (x + more[0], y + more[1], z + more[2])
 
 
 class BusFrame:
@@ -174,11 +193,22 @@ class Effect:
         return None
 
 
+LEAST: Final = 1e-9  # in SI units: a magnitude that is nearer than this to the one that changes nothing changes nothing
+SPEED_STEP_RAD_S: Final = 1e-3  # of a wheel's telemetry frame: what is less does not leave the unit
+CURRENT_STEP_A: Final = 1e-3
+
+
+def is_neutral(value: float, neutral: float) -> bool:
+    """Return whether a magnitude is the one that changes nothing, as nearly as matters."""
+    return abs(value - neutral) < LEAST
+
+
 class WheelEffect(Effect):
     """A kind of wheel fault."""
 
     __slots__ = ()
     needs_motor: ClassVar[bool] = False  # changes what an ideal wheel has not: driver, current, supply, lubricant
+    reports: ClassVar[bool] = False  # changes what the wheel reports alone, and so nothing between two samples
 
     def explain_futile(self, plant: PlantConfig | None, unit: str) -> str | None:
         """Return why, when it needs a motor and the wheel is an ideal one."""

@@ -20,10 +20,10 @@ from typing import Generic, NamedTuple, TypeVar, cast
 from bus.errors import ConfigError
 from bus.settings import Problem
 from plant_server.config import PlantConfig
-from plant_server.faults.effects import Acting, Effect
+from plant_server.faults.effects import Acting, Effect, WheelEffect
 from plant_server.faults.fault import Fault, check_faults, fault_ids
 from plant_server.faults.profiles import Course
-from plant_server.faults.units import SIMPLE_UNITS, family_of, parts_of
+from plant_server.faults.units import SIMPLE_UNITS, STAR_TRACKER, family_of, parts_of
 from plant_server.noise import Draw, open_uniforms
 
 NEVER = 1 << 62  # step of an edge that does not come
@@ -129,6 +129,7 @@ class ActiveFault(Generic[K]):
         """Draw the random numbers of this step or sample; keep what the kind remembers of the time since the last one."""
         now, effect = self.now, self.effect
         self._is_new = False
+        now.count += 1
         if self._draw is not None:
             now.drawn = tuple([self._draw() for _ in range(effect.draws)])
         if effect.remembers:
@@ -244,9 +245,22 @@ class FaultTimeline:
         if not problems and fault.until_s is not None and self._count_steps(fault.until_s) <= step:
             text = f"{fault.until_s} s has passed: it is {step * self._step_s:g} s, the fault would never take effect"
             problems.append(f"fault.until_s: {text}")
+        if not problems and self._falls_between(fault, step):
+            text = f"no sample of {fault.unit} falls into it, so it would never take effect; make it longer"
+            problems.append(f"fault.until_s: {text}")
         if problems:
             raise ConfigError(*problems)
         return name
+
+    def _falls_between(self, fault: Fault, step: int) -> bool:
+        """Return whether a fault is over before its unit is sampled."""
+        on, off = self._find_span(fault, step)
+        effect, every = fault.effect, self._steps_per_tick
+        if fault.latch or (isinstance(effect, WheelEffect) and not effect.reports):
+            return False
+        if fault.unit == STAR_TRACKER and self._plant is not None:
+            every *= round(1.0 / (self._plant.star_tracker.rate_hz * self._tick_s))
+        return -(-on // every) * every >= off
 
     def _find_name(self) -> str:
         """Return the id of the next commanded fault that gives none."""
@@ -355,14 +369,8 @@ class FaultTimeline:
     # -- entering ------------------------------------------------------------------------------------------------------
 
     def _enter(self, fault: Fault, name: str, step: int) -> None:
-        on = max(self._count_steps(fault.at_s), step)
-        off = NEVER if fault.until_s is None else max(self._count_steps(fault.until_s), on + 1)
+        on, off = self._find_span(fault, step)
         start_s = max(fault.at_s, step * self._step_s)
-        span_s = fault.profile.span_s
-        if span_s is not None:
-            off = min(off, max(self._count_steps(start_s + span_s), on + 1))
-        if family_of(fault.unit) != "wheel":
-            on, off = self._round_to_tick(on), self._round_to_tick(off)
         alike = sum(item.fault.unit == fault.unit and item.fault.kind == fault.kind for item in self._all)
         course = fault.profile.open(self._seed, f"fault/{fault.unit}/{fault.kind}/{alike}/profile")
         item = Occurrence(fault, name, len(self._all), start_s, on, off, course)
@@ -376,6 +384,18 @@ class FaultTimeline:
         self._expect(on, "onset", item)
         if item.off < NEVER:
             self._expect(item.off, "end", item)
+
+    def _find_span(self, fault: Fault, step: int) -> tuple[int, int]:
+        """Return the first step on which a fault that is entered before `step` acts, and the first without it."""
+        on = max(self._count_steps(fault.at_s), step)
+        off = NEVER if fault.until_s is None else max(self._count_steps(fault.until_s), on + 1)
+        start_s = max(fault.at_s, step * self._step_s)
+        span_s = fault.profile.span_s
+        if span_s is not None:
+            off = min(off, max(self._count_steps(start_s + span_s), on + 1))
+        if family_of(fault.unit) != "wheel":
+            return self._round_to_tick(on), self._round_to_tick(off)
+        return on, off
 
     def _count_steps(self, time_s: float) -> int:
         return math.ceil(min(time_s / self._step_s, FARTHEST) - 1e-6)

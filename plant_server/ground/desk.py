@@ -28,6 +28,7 @@ class FaultDesk:
         self.node = node
         self.ticks = ticks
         self.allowed = allowed
+        self.most = MOST_FAULTS
 
     @property
     def tick(self) -> int:
@@ -89,8 +90,8 @@ class FaultDesk:
         if not self.allowed:
             yield NOT_ALLOWED
             return
-        if len(self.node.plant.list_faults()) + count > MOST_FAULTS:
-            yield f"this run has had {MOST_FAULTS} faults; it takes no more"
+        if len(self.node.plant.list_faults()) + count > self.most:
+            yield f"this run has had {self.most} faults; it takes no more"
         yield from _explain_values(fault)
         if at_tick is not None:
             if isinstance(at_tick, bool) or not isinstance(at_tick, int):

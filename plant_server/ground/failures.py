@@ -13,7 +13,7 @@ from typing import Any, Final
 
 from bus.settings import NOTHING
 from plant_server.faults import GYRO_AXES, KINDS, STAR_TRACKER, UNITS, WHEELS
-from plant_server.faults.effects import Effect
+from plant_server.faults.effects import Effect, WheelEffect
 from plant_server.faults.fault import magnitudes_of
 
 GYRO, TRACKER, MOTOR, ESC, BUS = 0, 6, 101, 106, 109
@@ -32,12 +32,10 @@ INSTANCES: Final = {
 }
 FAMILY_OF: Final = {GYRO: "gyro", TRACKER: "star_tracker", MOTOR: "wheel", ESC: "wheel", BUS: "bus"}
 # kinds of a wheel's fault that change what it reports; the others change what it does, one does both
-TELEMETRY_KINDS: Final = frozenset(
-    name
-    for name, cls in KINDS["wheel"].items()
-    if name == "silent" or cls.__module__.endswith((".wheel_node", ".wheel_telemetry"))
-)
 BOTH: Final = frozenset({"total_failure"})
+TELEMETRY_KINDS: Final = BOTH | {
+    name for name, cls in KINDS["wheel"].items() if issubclass(cls, WheelEffect) and cls.reports
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +53,7 @@ class Setting:
 SETTINGS: Final = (
     Setting("FLT_WRONG", 0.6, "1", 0.0, 0.99, "share of its torque that a wrong motor gives"),
     Setting("FLT_STUCK_NM", 0.015, "N m", -1.0, 1.0, "torque that a stuck motor gives"),
+    Setting("FLT_NOISE_NM", 0.005, "N m", 0.0, 0.1, "random torque of a garbled motor, 1 sigma"),
     Setting("FLT_FRICTION_NM", 0.003, "N m", 0.0002, 0.01, "more friction of a slow motor"),
     Setting("FLT_WEAK", 0.0, "1", 0.0, 0.99, "share of its torque that an intermittent motor gives while it fails"),
     Setting("FLT_PERIOD_S", 4.0, "s", 0.1, 1000.0, "period of an intermittent motor, which fails for half of it"),
@@ -64,28 +63,38 @@ SETTINGS: Final = (
     Setting(
         "FLT_DRIFT_RAD_S", 5.0, "rad/s", -1000.0, 1000.0, "drifting telemetry: what the speed is off by in the end"
     ),
-    Setting("FLT_DELAY_TICKS", 5.0, "ticks", 1.0, 100.0, "delay of a wheel's telemetry, a whole number"),
+    Setting("FLT_NOISE_RAD_S", 300.0, "rad/s", 0.0, 1000.0, "garbled telemetry: speeds up to this, either way"),
+    Setting("FLT_DELAY_TICKS", 5.0, "ticks", 1.0, 100.0, "delay of a unit's samples, a whole number"),
     Setting("FLT_DELAY_S", 0.1, "s", 0.001, 10.0, "delay on the bus"),
-    Setting("FLT_PROB", 0.5, "1", 0.001, 1.0, "share of frames or samples that an intermittent or garbled unit loses"),
-    Setting("FLT_GYRO_RAD_S", 0.1, "rad/s", -2.0, 2.0, "what a wrong gyro adds; size of the spikes of a garbled one"),
+    Setting("FLT_PROB", 0.5, "1", 0.001, 1.0, "share of frames that an intermittent unit loses"),
+    Setting("FLT_GYRO_RAD_S", 0.1, "rad/s", -2.0, 2.0, "what a wrong gyro adds"),
+    Setting("FLT_GYRO_NOISE", 0.5, "rad/s", 0.0, 2.0, "rates of a garbled gyro, up to this, either way"),
     Setting("FLT_GYRO_RAMP", 0.001, "rad/s^2", -1.0, 1.0, "slope of a drifting gyro"),
+    Setting("FLT_STAR_DEG", 1.0, "deg", -180.0, 180.0, "by which a wrong star tracker is turned about body x"),
+    Setting("FLT_STAR_DEG_S", 0.01, "deg/s", -10.0, 10.0, "at which a drifting star tracker turns about body x"),
 )
 # what 420 does not say, by unit and type: a number, or the parameter that has it; the rest is as the kind has it
 MAGNITUDES: Final[dict[tuple[int, int], dict[str, float | str]]] = {
     (MOTOR, STUCK): {"torque_nm": "FLT_STUCK_NM"},
+    (MOTOR, GARBAGE): {"noise_nm": "FLT_NOISE_NM"},
     (MOTOR, WRONG): {"effectiveness": "FLT_WRONG"},
     (MOTOR, SLOW): {"friction_nm": "FLT_FRICTION_NM"},
     (MOTOR, INTERMITTENT): {"effectiveness": "FLT_WEAK", "period_s": "FLT_PERIOD_S", "duty": 0.5},
     (MOTOR, DRIFT): {"torque_nm": "FLT_DRIFT_NM", "rise_s": "FLT_RISE_S"},
+    (ESC, GARBAGE): {"speed_rad_s": "FLT_NOISE_RAD_S"},
     (ESC, WRONG): {"factor": "FLT_SCALE"},
     (ESC, DELAYED): {"ticks": "FLT_DELAY_TICKS"},
     (ESC, INTERMITTENT): {"probability": "FLT_PROB"},
     (ESC, DRIFT): {"speed_rad_s": "FLT_DRIFT_RAD_S", "rise_s": "FLT_RISE_S"},
-    (GYRO, GARBAGE): {"rate_rad_s": "FLT_GYRO_RAD_S", "probability": "FLT_PROB"},
+    (GYRO, GARBAGE): {"rate_rad_s": "FLT_GYRO_NOISE"},
+    (GYRO, DELAYED): {"ticks": "FLT_DELAY_TICKS"},
     (GYRO, WRONG): {"rate_rad_s": "FLT_GYRO_RAD_S"},
     (GYRO, INTERMITTENT): {"probability": "FLT_PROB"},
     (GYRO, DRIFT): {"slope_rad_s2": "FLT_GYRO_RAMP"},
     (TRACKER, OFF): {"probability": 1.0},
+    (TRACKER, WRONG): {"angle_deg": "FLT_STAR_DEG"},
+    (TRACKER, DELAYED): {"ticks": "FLT_DELAY_TICKS"},
+    (TRACKER, DRIFT): {"rate_deg_s": "FLT_STAR_DEG_S"},
     (TRACKER, INTERMITTENT): {"probability": "FLT_PROB"},
     (BUS, INTERMITTENT): {"probability": "FLT_PROB"},
     (BUS, DELAYED): {"delay_s": "FLT_DELAY_S"},

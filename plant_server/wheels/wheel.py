@@ -6,7 +6,7 @@ from typing import NamedTuple, cast
 
 from mypy_extensions import mypyc_attr
 
-from plant_server.faults.effects import WheelDisturbance, WheelEffect
+from plant_server.faults.effects import CURRENT_STEP_A, SPEED_STEP_RAD_S, WheelDisturbance, WheelEffect
 from plant_server.faults.timeline import ActiveFault, FaultChain, FaultTimeline
 
 WheelFault = ActiveFault[WheelEffect]
@@ -96,8 +96,10 @@ class Wheel:
                 without.silent != state.silent
                 or without.late_ticks != state.late_ticks
                 or without.counter_frozen != state.counter_frozen
-                or self._show_speed(without, speed_rad_s) != self._show_speed(state, speed_rad_s)
-                or self._show_current(without, current_a) != self._show_current(state, current_a)
+                or _differ(
+                    self._show_speed(without, speed_rad_s), self._show_speed(state, speed_rad_s), SPEED_STEP_RAD_S
+                )
+                or _differ(self._show_current(without, current_a), self._show_current(state, current_a), CURRENT_STEP_A)
             ):
                 self._note(fault, step)
 
@@ -127,6 +129,11 @@ class Wheel:
         if state.current_frozen:
             return self._held_a
         return _show(current_a, state.current_gain, state.current_offset_a, state.current_lsb_a)
+
+
+def _differ(value: float, other: float, step: float) -> bool:
+    """Return whether two readings are different in a frame with such steps."""
+    return round(value / step) != round(other / step)
 
 
 def _show(value: float, gain: float, offset: float, lsb: float) -> float:

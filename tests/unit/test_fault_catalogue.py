@@ -25,6 +25,7 @@ PAPER_KINDS = ("loss", "bias", "stuck_torque", "dead", "silent")
 # What a kind with its defaults makes of a healthy wheel once it is fully there: spec's default column, in SI.
 FULL = {
     "gain_kt": {"torque_gain": 0.6}, "gain_driver": {"driver_gain": 0.6}, "friction_coulomb": {"coulomb_gain": 3.0},
+    "torque_noise": {"offset_nm": None}, "tach_garbage": {"speed_gain": 0.0, "speed_offset_rad_s": None},
     "friction_viscous": {"viscous_gain": 2.5}, "friction_extra": {"friction_nm": 0.003},
     "drag_burst": {"friction_nm": 0.004, "offset_nm": None}, "low_speed_friction": {"static_nm": 0.002},
     "seize": {"seize_nm": 0.8}, "idle": {"motor_on": False}, "runaway": {"is_stuck": True, "stuck_current_a": 0.95},
@@ -90,7 +91,9 @@ def test_a_kind_changes_what_it_says_and_nothing_else(kind):
     assert changes_of(compose(motor_fault(kind, **settings, until_s=60.0), t_s=61.0)) == {}
 
 
-@pytest.mark.parametrize("kind", [kind for kind in FULL if KINDS["wheel"][kind].rises and kind != "drag_burst"])
+@pytest.mark.parametrize(
+    "kind", [kind for kind in FULL if KINDS["wheel"][kind].rises and not KINDS["wheel"][kind].draws]
+)
 def test_half_a_fault_is_half_the_way_from_the_healthy_value(kind):
     """Half way up a line: base + (value - base) / 2."""
     changes = changes_of(compose(motor_fault(kind, rise_s=100.0), t_s=50.0 - 0.5 * STEP_S))

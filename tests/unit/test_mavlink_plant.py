@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import hashlib
 import itertools
 import re
 import tempfile
@@ -20,11 +22,13 @@ from bus.mavlink.endpoint import Endpoint
 from bus.mavlink.json_parts import Assembler, cut_request
 from bus.mavlink.packets import text_of
 from bus.run import GroundConfig
-from bus.settings import plain
+from bus.settings import all_notes, plain
 from plant_server.faults import KINDS, UNITS, family_of
+from plant_server.faults.effects import Effect
+from plant_server.faults.fault import magnitudes_of
 from plant_server.ground import open_ground
 from plant_server.ground.catalogue import make_sample
-from plant_server.ground.desk import MOST_FAULTS, NOT_ALLOWED
+from plant_server.ground.desk import NOT_ALLOWED
 from plant_server.injector import LOGGED_REFUSALS
 from tools.log.mcap_reader import Run
 from tools.run.bench import Bench
@@ -322,12 +326,8 @@ def test_the_catalogue_has_what_can_act_on_this_plant(scenario: str) -> None:
                     taken.add((kind, unit))
                     end.call({"do": "clear"})
         assert listed == taken
-        keys = {
-            key["name"]: key
-            for item in reply["kinds"]
-            if item["kind"] == "loss" and item["unit"][:5] == "wheel"
-            for key in item["keys"]
-        }
+        (loss,) = [item for item in reply["kinds"] if (item["unit"], item["kind"]) == ("wheel", "loss")]
+        keys = {key["name"]: key for key in loss["keys"]}
         assert keys == {
             "effectiveness": {
                 "name": "effectiveness", "unit": "1", "limits": ">= 0, < 1", "default": None, "needed": True,
@@ -363,12 +363,13 @@ def test_a_flood_of_requests_is_bounded() -> None:
         assert len(refused) == LOGGED_REFUSALS
         desk = end.bench.plant_node.ground.desk  # type: ignore[union-attr]
         fault = {"unit": "wheel.1", "kind": "silent", "at_s": 1e6}
-        states = [desk.set(fault, "test")[1] is not None for _ in range(MOST_FAULTS + 5)]
-        assert states.count(True) == MOST_FAULTS
+        desk.most = 300
+        states = [desk.set(fault, "test")[1] is not None for _ in range(305)]
+        assert states.count(True) == 300
         assert states[-1] is False
         end.ask({"do": "list"})
         (reply,) = end.run(60)
-        assert len(reply["faults"]) + reply["left_out"] == MOST_FAULTS
+        assert len(reply["faults"]) + reply["left_out"] == 300
         assert len(reply["faults"]) > 100
 
 
@@ -401,3 +402,125 @@ def test_a_bench_without_a_link_has_none() -> None:
     """No socket and nothing to poll unless it is opened."""
     with Bench.open("zhang2018", BARE) as bench:
         assert bench.plant_node.ground is None
+
+
+# -- nothing accepted is without effect ----------------------------------------------------------------------------
+
+FAMILY_UNITS = {"wheel": "wheel.2", "gyro": "gyro.y", "star_tracker": "star_tracker", "bus": "bus"}
+LONG = ["duration_s=40"]
+# what waits for something that need not come on this bench: a slow wheel; commands that a weak supply cannot follow
+MAY_WAIT = {"low_speed_friction", "bus_sag"}
+
+
+EVERY = [(family, kind) for family in KINDS for kind in KINDS[family]]
+
+
+@pytest.mark.parametrize(("family", "kind"), EVERY)
+def test_every_kind_really_changes_something(family: str, kind: str) -> None:
+    """With ordinary magnitudes, on a bench whose wheels have motors: frames or truth, and it is said to have bitten."""
+    try_magnitudes(family, kind, [usual_magnitudes(KINDS[family][kind])], 60)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("family", "kind"), EVERY)
+def test_every_magnitude_really_changes_something_or_is_refused(family: str, kind: str) -> None:
+    """Each number at 0, 1 and the ends of its range, one after the other.
+
+    What is accepted makes frames or truth others than they are without it, and is said to have had its effect; what is
+    refused says that it has no effect or is out of range.
+    """
+    cls = KINDS[family][kind]
+    usual = usual_magnitudes(cls)
+    trials = [usual]
+    for key, (hint, _) in magnitudes_of(cls).items():
+        if isinstance(usual.get(key), int | float) and not isinstance(usual[key], bool):
+            ends = {float(getattr(note, name)) for note in all_notes(hint) for name in LIMITS if hasattr(note, name)}
+            trials += [{**usual, key: type(usual[key])(value)} for value in sorted({0.0, 1.0, *ends})]
+    try_magnitudes(family, kind, trials, 150)
+
+
+def usual_magnitudes(cls: type[Effect]) -> dict[str, Any]:
+    return {key: value for key, value in plain(make_sample(cls)).items() if value is not None}
+
+
+def try_magnitudes(family: str, kind: str, trials: list[dict[str, Any]], ticks: int) -> None:
+    """Set a fault with each of these in turn, each on a bench of its own."""
+    unit, accepted = FAMILY_UNITS[family], 0
+    for magnitudes in trials:
+        with link(LONG, scenario="ithaco-hold", ticks=400) as end:
+            end.bench.step(5)
+            reply = end.call({"do": "set", "fault": {"unit": unit, "kind": kind, **magnitudes}})
+            if reply["state"] == "refused":
+                assert re.search(r"no effect|out of range|takes one node|half a tick", " ".join(reply["reasons"]))
+                continue
+            accepted += 1
+            end.bench.step(ticks)
+            if kind in MAY_WAIT:
+                continue
+            assert "effect" in [phase for _, _, phase in phases(end.bench.log)], magnitudes
+            assert fingerprint(end.bench.log) != healthy(ticks), magnitudes
+    assert accepted
+
+
+LIMITS = ("ge", "gt", "le", "lt")
+
+
+@functools.cache
+def healthy(ticks: int) -> str:
+    with link(LONG, scenario="ithaco-hold", ticks=400) as end:
+        end.bench.step(6 + ticks)
+        return fingerprint(end.bench.log)
+
+
+def fingerprint(run: Run) -> str:
+    """Of all frames and all truth."""
+    found = hashlib.sha256(strip_heartbeats(run).tobytes())
+    for topic in TRUTH:
+        for payload in run.payloads(topic):
+            found.update(payload)
+    return found.hexdigest()
+
+
+@pytest.mark.parametrize(
+    ("fault", "word"),
+    [
+        ({"unit": "wheel.1", "kind": "bias", "torque_nm": 1e-10}, "no effect"),
+        ({"unit": "wheel.1", "kind": "tach_scale", "factor": 1.0 + 1e-12}, "no effect"),
+        ({"unit": "wheel.1", "kind": "tach_quantise", "step_rad_s": 0.001}, "the frame has steps of 0.001 rad/s"),
+        ({"unit": "wheel.1", "kind": "current_quantise", "step_a": 0.0005}, "the frame has steps of 0.001 A"),
+        ({"unit": "wheel.1", "kind": "bus_sag", "voltage_v": 28.0}, "28 V have no effect: wheel.1 has that"),
+        ({"unit": "gyro.x", "kind": "constant", "rate_rad_s": -1e-10}, "no effect"),
+        (
+            {"unit": "wheel.1", "kind": "tach_freeze", "at_s": 1.02, "until_s": 1.06},
+            "no sample of wheel.1 falls into it",
+        ),
+        ({"unit": "gyro.x", "kind": "dead", "at_s": 1.02, "until_s": 1.08}, "no sample of gyro.x falls into it"),
+        (
+            {"unit": "star_tracker", "kind": "dropout", "at_s": 1.1, "until_s": 1.9},
+            "no sample of star_tracker falls into",
+        ),
+    ],
+)
+def test_what_would_change_nothing_is_refused(fault: dict[str, Any], word: str) -> None:
+    """Neutral magnitudes to nine digits, steps finer than the frame's, the voltage there is, a time between two samples."""
+    with link(["plant.star_tracker.rate_hz=1"], scenario="ithaco-hold") as end:
+        reply = end.call({"do": "set", "fault": fault})
+        assert reply["state"] == "refused"
+        assert word in " ".join(reply["reasons"])
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        {"unit": "wheel.1", "kind": "loss", "effectiveness": 0.3, "at_s": 1.02, "until_s": 1.04},
+        {"unit": "wheel.1", "kind": "tach_freeze", "at_s": 1.08, "until_s": 1.12},
+        {"unit": "gyro.x", "kind": "dead", "at_s": 1.0, "until_s": 1.001},
+        {"unit": "star_tracker", "kind": "dropout", "at_s": 1.9, "until_s": 2.05},
+    ],
+)
+def test_a_short_fault_that_meets_a_sample_or_a_step_is_taken_and_bites(fault: dict[str, Any]) -> None:
+    """The same times nearly: one that falls on a sample, or, of the motor, on a step."""
+    with link(["plant.star_tracker.rate_hz=1"], scenario="ithaco-hold") as end:
+        assert end.call({"do": "set", "fault": fault})["state"] == "accepted"
+        end.bench.step(30)
+        assert [phase for _, _, phase in phases(end.bench.log)] == ["onset", "effect", "end"]

@@ -25,11 +25,14 @@ EXAMPLES = {  # magnitudes for every kind
     "silent": {}, "constant": {"rate_rad_s": 0.01}, "periodic": {"rate_rad_s": 0.01, "frequency_rad_s": 2.0},
     "ramp": {"slope_rad_s2": 1e-3}, "stuck": {}, "noise": {"factor": 5.0}, "scale": {"factor": 0.1},
     "spikes": {"rate_rad_s": 0.05, "probability": 0.5}, "intermittent": {"probability": 0.5}, "dropout": {},
+    "garbage": {}, "half_rate": {}, "late": {}, "frozen": {}, "misaligned": {}, "rotating": {"rate_deg_s": 1.0},
+    "torque_noise": {},
     "idle": {}, "jump": {"torque_nm": 0.01}, "bias_torque": {"torque_nm": 0.01}, "total_failure": {},
 }  # fmt: skip
 UNIT_OF = {"wheel": "wheel.2", "gyro": "gyro.y", "star_tracker": "star_tracker"}
 # the kinds of a plant of ideal wheels; other ones of wheels: test_fault_catalogue.py, those of the bus: test_wire.py
 EVERY = [(unit, kind) for family, unit in UNIT_OF.items() for kind in KINDS[family] if kind in EXAMPLES]
+EVERY.remove(("wheel.2", "late"))  # of its telemetry frames, which other units have by the same name
 
 
 def make_plant(faults=(), tick_s=0.1, preset="tactical"):
@@ -221,7 +224,8 @@ def test_a_fault_reads_back_as_itself(unit, kind):
     fault = make_fault(**keys)
     assert plain(fault).items() >= keys.items()
     assert build(Fault, plain(fault), "x") == fault
-    assert set(plain(make_fault(unit=unit, kind=kind, at_s=1.0, **EXAMPLES[kind]))) <= {*keys, "phase", "probability"} - {
+    defaults = KINDS[unit.partition(".")[0]][kind].__dataclass_fields__
+    assert set(plain(make_fault(unit=unit, kind=kind, at_s=1.0, **EXAMPLES[kind]))) <= {*keys, "phase", *defaults} - {
         "until_s", "id", "rise_s",
     }  # fmt: skip
 
@@ -277,12 +281,11 @@ def test_a_fault_on_a_wheel_at_rest_has_no_effect_until_it_is_commanded():
     "fault",
     [
         {"unit": "gyro.x", "kind": "periodic", "rate_rad_s": 0.1, "frequency_rad_s": 1e-12},
-        {"unit": "gyro.x", "kind": "constant", "rate_rad_s": 1e-12},  # less than the frame can say
         {"unit": "gyro.x", "kind": "spikes", "rate_rad_s": 0.1, "probability": 1e-12},  # never drawn
         {"unit": "star_tracker", "kind": "dropout", "probability": 1e-12},
         {"unit": "star_tracker", "kind": "dropout", "until_s": 1.1},  # between two frames
     ],
-    ids=["slow", "small", "spikes", "dropout", "between frames"],
+    ids=["slow", "spikes", "dropout", "between frames"],
 )
 def test_what_changes_nothing_has_no_effect(fault):
     """Accepted, since nobody can tell beforehand, but never announced as having had an effect."""

@@ -75,7 +75,8 @@ takes no profile with a slope.
 ## Several faults on one unit
 
 They act one after the other in the order of their onset, and none replaces another. `noise` of a gyro acts ahead of
-all; `bias_torque`, `jump`, `drag_burst`, `tach_dropout` and `current_dropout` behind all. So, for a wheel:
+all; `bias_torque`, `jump`, `drag_burst`, `torque_noise`, `tach_garbage`, `tach_dropout` and `current_dropout` behind
+all. So, for a wheel:
 
 - Gains and factors multiply: C_t, C_d, k_c, k_v, the scale of readings.
 - Torques and friction add: tau_fe, tau_s, tau_seize, tau_bias, tau_spike; offsets of readings and ticks of delay as

@@ -34,6 +34,10 @@ BUS_LABELS = {
     "broken_bits": "bits turned", "dlc": "data bytes", "is_off": "frame is sent", "is_blocked": "frame is sent",
     "extra_hz": "frames more\na second", "forged": "second sender",
 }  # fmt: skip
+STAR_LABELS = {
+    "lost": "frame sent", "frozen": "stands still", "random": "any attitude", "turn_b_rad": "turned by\n[deg]",
+    "late_ticks": "late [ticks]",
+}  # fmt: skip
 Record = WheelDisturbance | GyroSample | StarSample | BusFrame
 Trace = list[float]
 
@@ -163,8 +167,13 @@ def _look_at_rate(t_s: float, record: GyroSample) -> float:
     return math.nan if record.silent else record.rate_rad_s
 
 
-def _look_at_frames(t_s: float, record: StarSample) -> float:
-    return 0.0 if record.lost else 1.0
+def _look_at_star(record: StarSample, name: str) -> float:
+    value = getattr(record, name)
+    if name == "lost":
+        return 0.0 if value else 1.0
+    if name == "turn_b_rad":
+        return math.degrees(math.hypot(*value))
+    return float(value) if isinstance(value, bool | int) else 0.0 if value is None else 1.0
 
 
 def _look_at_bus(record: BusFrame, name: str) -> float:
@@ -178,13 +187,13 @@ def _find_observable(before: list[Any], after: list[Any]) -> tuple[str, Callable
     """Return what is shown of the records, and how to read it from one."""
     if isinstance(after[0], GyroSample):
         return "rate [rad/s]", _look_at_rate
-    if isinstance(after[0], StarSample):
-        return "frame sent", _look_at_frames
     changed = [
         name
         for name in type(after[0]).__slots__
         if any(getattr(a, name) != getattr(b, name) for a, b in zip(before, after, strict=True))
     ]
+    if isinstance(after[0], StarSample):
+        return STAR_LABELS[changed[0]], lambda t_s, record: _look_at_star(record, changed[0])
     if isinstance(after[0], BusFrame):
         return BUS_LABELS[changed[0]], lambda t_s, record: _look_at_bus(record, changed[0])
     if any(name.startswith("speed_") for name in changed):

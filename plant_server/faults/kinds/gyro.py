@@ -8,14 +8,14 @@ from typing import Annotated, Literal
 
 from bus.units import Ge, Gt, Le, RadS, Unit
 from plant_server.config import PlantConfig
-from plant_server.faults.effects import Acting, GyroEffect, GyroSample, register
+from plant_server.faults.effects import Acting, GyroEffect, GyroSample, is_neutral, register
 from plant_server.gyro.presets import fill_preset
 
 Probability = Annotated[float, Gt(0), Le(1)]
 
 
 def _refuse_zero(rate_rad_s: float) -> str | None:
-    return "0 rad/s has no effect; give rate_rad_s another value" if rate_rad_s == 0.0 else None
+    return "0 rad/s has no effect; give rate_rad_s another value" if is_neutral(rate_rad_s, 0.0) else None
 
 
 @register("gyro", "constant")
@@ -76,7 +76,11 @@ class Ramp(GyroEffect):
 
     def explain_futile(self, plant: PlantConfig | None, unit: str) -> str | None:
         """Return why, when the slope is zero."""
-        return "a slope of 0 has no effect; give slope_rad_s2 another value" if self.slope_rad_s2 == 0.0 else None
+        return (
+            "a slope of 0 has no effect; give slope_rad_s2 another value"
+            if is_neutral(self.slope_rad_s2, 0.0)
+            else None
+        )
 
 
 @register("gyro", "stuck")
@@ -130,7 +134,7 @@ class Noise(GyroEffect):
 
     def explain_futile(self, plant: PlantConfig | None, unit: str) -> str | None:
         """Return why, when the noise stays what it is or there is none."""
-        if self.factor == 1.0:
+        if is_neutral(self.factor, 1.0):
             return "noise by a factor of 1 has no effect; give another factor"
         if plant is not None and not fill_preset(plant.gyro).arw_rad_sqrt_s > 0.0:
             preset = plant.gyro.preset
@@ -153,7 +157,7 @@ class Scale(GyroEffect):
 
     def explain_futile(self, plant: PlantConfig | None, unit: str) -> str | None:
         """Return why, when the factor is zero."""
-        return "a scale factor of 0 has no effect; give another factor" if self.factor == 0.0 else None
+        return "a scale factor of 0 has no effect; give another factor" if is_neutral(self.factor, 0.0) else None
 
 
 @register("gyro", "spikes")
@@ -163,7 +167,6 @@ class Spikes(GyroEffect):
 
     equation = "y + f now and then"
     seen_in = "charged particles"
-    failures = ((0, 3),)
     draws = 2
     rate_rad_s: RadS
     probability: Probability
@@ -194,3 +197,67 @@ class Intermittent(GyroEffect):
         """Send nothing when chance has it."""
         if now.drawn[0] < now.level * self.probability:
             sample.silent = True
+
+
+@register("gyro", "garbage")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Garbage(GyroEffect):
+    """the rate is any number within +-`rate_rad_s`, anew with every sample"""
+
+    rises = False
+    switches = True
+    draws = 1
+    equation = "y = random"
+    seen_in = "a converter or a memory gone wrong"
+    failures = ((0, 3),)
+    rate_rad_s: Annotated[RadS, Gt(0)] = 0.5
+
+    def disturb(self, sample: GyroSample, now: Acting) -> None:
+        """Put a random rate in place of what there was."""
+        if now.level > 0.0:
+            sample.shift_to((2.0 * now.drawn[0] - 1.0) * self.rate_rad_s)
+
+    def explain_futile(self, plant: PlantConfig | None, unit: str) -> str | None:
+        """Return why, when the rates have no size."""
+        return _refuse_zero(self.rate_rad_s)
+
+
+@register("gyro", "half_rate")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HalfRate(GyroEffect):
+    """every other frame is missing"""
+
+    rises = False
+    switches = True
+    remembers = True
+    equation = "rate frames"
+    seen_in = "an overloaded processor in the unit"
+    failures = ((0, 5),)
+
+    def disturb(self, sample: GyroSample, now: Acting) -> None:
+        """Send nothing on every second sample."""
+        if now.level > 0.0 and now.count % 2 == 0:
+            sample.silent = True
+
+
+@register("gyro", "late")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Late(GyroEffect):
+    """the rate is that of `ticks` samples ago; until there is one, the last before the onset"""
+
+    rises = False
+    switches = True
+    equation = "y(t - T)"
+    seen_in = "a queue that has filled up, a filter with more delay than was known"
+    failures = ((0, 6),)
+    ticks: Annotated[int, Ge(1), Le(100)] = 5
+
+    def disturb(self, sample: GyroSample, now: Acting) -> None:
+        """Hold the rate back."""
+        if now.past_s != now.t_s:  # a look that is repeated is no new sample
+            now.past_s = now.t_s
+            if not now.past_rad_s:
+                now.past_rad_s = [sample.last_rad_s] * self.ticks
+            now.past_rad_s = [*now.past_rad_s[-self.ticks :], sample.rate_rad_s]
+        if now.level > 0.0:
+            sample.shift_to(now.past_rad_s[0])

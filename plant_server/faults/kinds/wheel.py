@@ -11,7 +11,7 @@ from typing import Annotated
 
 from bus.units import Ge, Le, Lt, NewtonMetre
 from plant_server.config import PlantConfig
-from plant_server.faults.effects import Acting, WheelDisturbance, WheelEffect, register
+from plant_server.faults.effects import Acting, WheelDisturbance, WheelEffect, is_neutral, register
 from plant_server.faults.profiles import Pulse
 
 PAPER = "Zhang, Ye & Sun 2018, eq (8)"
@@ -50,7 +50,9 @@ class Bias(WheelEffect):
 
     def explain_futile(self, plant: PlantConfig | None, unit: str) -> str | None:
         """Return why, when the torque is zero."""
-        return "a bias of 0 N m has no effect; give torque_nm another value" if self.torque_nm == 0.0 else None
+        return (
+            "a bias of 0 N m has no effect; give torque_nm another value" if is_neutral(self.torque_nm, 0.0) else None
+        )
 
 
 @register("wheel", "stuck_torque")
@@ -98,7 +100,9 @@ class BiasTorque(WheelEffect):
 
     def explain_futile(self, plant: PlantConfig | None, unit: str) -> str | None:
         """Return why, when the torque is zero."""
-        return "a bias of 0 N m has no effect; give torque_nm another value" if self.torque_nm == 0.0 else None
+        return (
+            "a bias of 0 N m has no effect; give torque_nm another value" if is_neutral(self.torque_nm, 0.0) else None
+        )
 
 
 @register("wheel", "jump")
@@ -118,7 +122,9 @@ class Jump(WheelEffect):
 
     def explain_futile(self, plant: PlantConfig | None, unit: str) -> str | None:
         """Return why, when the torque is zero."""
-        return "a jump of 0 N m has no effect; give torque_nm another value" if self.torque_nm == 0.0 else None
+        return (
+            "a jump of 0 N m has no effect; give torque_nm another value" if is_neutral(self.torque_nm, 0.0) else None
+        )
 
 
 @register("wheel", "silent")
@@ -128,6 +134,7 @@ class Silent(WheelEffect):
 
     rises = False
     switches = True
+    reports = True
     equation = "telemetry"
     seen_in = "node or harness lost"
     failures = ((106, 1),)

@@ -8,7 +8,7 @@ from typing import Annotated
 
 from bus.units import Ge, Gt, Le, NewtonMetre, RadS, Seconds
 from plant_server.config import PlantConfig
-from plant_server.faults.effects import Acting, WheelDisturbance, WheelEffect, register
+from plant_server.faults.effects import Acting, WheelDisturbance, WheelEffect, is_neutral, register
 from plant_server.faults.profiles import Intermittent, LinearRise
 from plant_server.faults.units import WHEELS
 
@@ -39,7 +39,7 @@ class CoulombFriction(WheelEffect):
 
     def explain_futile(self, plant: PlantConfig | None, unit: str) -> str | None:
         """Return why, when the factor is 1 or there is nothing to scale."""
-        if self.coulomb_gain == 1.0:
+        if is_neutral(self.coulomb_gain, 1.0):
             return "a factor of 1 has no effect; give coulomb_gain another value"
         return _explain_without_friction(plant, unit, "coulomb_nm")
 
@@ -59,7 +59,7 @@ class ViscousFriction(WheelEffect):
 
     def explain_futile(self, plant: PlantConfig | None, unit: str) -> str | None:
         """Return why, when the factor is 1 or there is nothing to scale."""
-        if self.viscous_gain == 1.0:
+        if is_neutral(self.viscous_gain, 1.0):
             return "a factor of 1 has no effect; give viscous_gain another value"
         return _explain_without_friction(plant, unit, "viscous_nm_s")
 
@@ -89,7 +89,6 @@ class DragBurst(WheelEffect):
     usual = Intermittent(period_s=11.0, duty=3.0 / 11.0)
     equation = "tau_fe and tau_n"
     seen_in = "XMM-Newton: instability of the bearing cage"
-    failures = ((101, 3),)
     friction_nm: Annotated[NewtonMetre, Ge(0.0002), Le(0.01)] = 0.004
     noise_nm: Annotated[NewtonMetre, Ge(0), Le(0.005)] = (
         0.0005  # 1 sigma of the torque noise, anew each integration step
@@ -98,9 +97,34 @@ class DragBurst(WheelEffect):
     def disturb(self, wheel: WheelDisturbance, now: Acting) -> None:
         """Add friction and noise."""
         wheel.friction_nm += now.level * self.friction_nm
-        radius, angle = now.drawn
-        normal = math.sqrt(-2.0 * math.log1p(-radius)) * math.cos(2.0 * math.pi * angle)  # Box & Muller
-        wheel.offset_nm += now.level * self.noise_nm * normal
+        wheel.offset_nm += now.level * self.noise_nm * _draw_normal(now)
+
+
+@register("wheel", "torque_noise")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TorqueNoise(WheelEffect):
+    """random torque of `noise_nm` (1 sigma, anew each integration step) comes to what the motor gives"""
+
+    last = True
+    draws = 2
+    equation = "tau_n"
+    seen_in = "a worn bearing, a driver that chatters"
+    failures = ((101, 3),)
+    noise_nm: Annotated[NewtonMetre, Gt(0), Le(0.1)] = 0.005
+
+    def disturb(self, wheel: WheelDisturbance, now: Acting) -> None:
+        """Add noise."""
+        wheel.offset_nm += now.level * self.noise_nm * _draw_normal(now)
+
+    def explain_futile(self, plant: PlantConfig | None, unit: str) -> str | None:
+        """Return why, when there is no noise to speak of."""
+        return "noise of 0 N m has no effect; give noise_nm another value" if is_neutral(self.noise_nm, 0.0) else None
+
+
+def _draw_normal(now: Acting) -> float:
+    """Return a standard normal number from the two that were drawn (Box & Muller)."""
+    radius, angle = now.drawn
+    return math.sqrt(-2.0 * math.log1p(-radius)) * math.cos(2.0 * math.pi * angle)
 
 
 @register("wheel", "low_speed_friction")

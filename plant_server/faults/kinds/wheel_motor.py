@@ -6,14 +6,16 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from bus.units import Ge, Le, Unit
-from plant_server.config import PlantConfig
+from plant_server.config import PlantConfig, WheelMotorConfig
 from plant_server.faults.effects import (
     Acting,
     WheelDisturbance,
     WheelEffect,
     explain_without_motor,
+    is_neutral,
     register,
 )  # fmt: skip
+from plant_server.faults.units import WHEELS
 
 
 @register("wheel", "gain_kt")
@@ -32,7 +34,7 @@ class TorqueGain(WheelEffect):
 
     def explain_futile(self, plant: PlantConfig | None, unit: str) -> str | None:
         """Return why, when the gain stays 1 or the wheel has no motor."""
-        if self.torque_gain == 1.0:
+        if is_neutral(self.torque_gain, 1.0):
             return "a torque gain of 1 has no effect; give torque_gain another value"
         return explain_without_motor(self, plant, unit)
 
@@ -53,7 +55,7 @@ class DriverGain(WheelEffect):
 
     def explain_futile(self, plant: PlantConfig | None, unit: str) -> str | None:
         """Return why, when the gain stays 1 or the wheel has no driver."""
-        if self.driver_gain == 1.0:
+        if is_neutral(self.driver_gain, 1.0):
             return "a driver gain of 1 has no effect; give driver_gain another value"
         return explain_without_motor(self, plant, unit)
 
@@ -114,3 +116,14 @@ class BusSag(WheelEffect):
         if now.level > 0.0:
             wheel.has_bus = True
             wheel.bus_v = self.voltage_v
+
+    def explain_futile(self, plant: PlantConfig | None, unit: str) -> str | None:
+        """Return why, when that is the voltage it has, or the wheel has no supply."""
+        if word := explain_without_motor(self, plant, unit):
+            return word
+        if plant is None or unit not in WHEELS:
+            return None
+        motor = getattr(plant.wheels[WHEELS.index(unit)], "motor", None) or WheelMotorConfig()
+        if not is_neutral(self.voltage_v, motor.bus_v):
+            return None
+        return f"{self.voltage_v:g} V have no effect: {unit} has that; give voltage_v another value"

@@ -18,6 +18,7 @@ class Late(WheelEffect):
 
     rises = False
     switches = True
+    reports = True
     equation = FRAMES
     seen_in = "a queue that has filled up, a task that has slipped"
     failures = ((106, 6),)
@@ -36,6 +37,7 @@ class FrozenCounter(WheelEffect):
 
     rises = False
     switches = True
+    reports = True
     equation = FRAMES
     seen_in = "a node that sends its buffer again and again"
 
@@ -50,6 +52,7 @@ class Drop(WheelEffect):
     """with `probability` per telemetry frame, no frame"""
 
     draws = 1
+    reports = True
     equation = FRAMES
     seen_in = "bit errors, a loose connector"
     failures = ((106, 7),)

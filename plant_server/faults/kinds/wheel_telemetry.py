@@ -11,14 +11,28 @@ from typing import Annotated
 
 from bus.units import Gt, Le, RadS, Unit
 from plant_server.config import PlantConfig
-from plant_server.faults.effects import Acting, WheelDisturbance, WheelEffect, register
+from plant_server.faults.effects import (
+    CURRENT_STEP_A,
+    SPEED_STEP_RAD_S,
+    Acting,
+    WheelDisturbance,
+    WheelEffect,
+    is_neutral,
+    register,
+)
 
 Probability = Annotated[float, Gt(0), Le(1)]
 SPEED, CURRENT = "telemetered speed", "telemetered current"
 
 
 def _refuse(value: float, harmless: float, key: str) -> str | None:
-    return f"{key} {harmless:g} has no effect; give it another value" if value == harmless else None
+    return f"{key} {harmless:g} has no effect; give it another value" if is_neutral(value, harmless) else None
+
+
+def _refuse_fine(key: str, step: float, of_frame: float, unit: str) -> str | None:
+    if step > of_frame * (1.0 + 1e-9):
+        return None
+    return f"{key} {step:g} {unit} has no effect: the frame has steps of {of_frame:g} {unit}; give more"
 
 
 # -- speed ---------------------------------------------------------------------------------------------------------
@@ -29,6 +43,7 @@ def _refuse(value: float, harmless: float, key: str) -> str | None:
 class TachBias(WheelEffect):
     """`speed_rad_s` is added to the telemetered speed"""
 
+    reports = True
     equation = SPEED
     seen_in = "tachometer electronics"
     failures = ((106, 8),)
@@ -48,6 +63,7 @@ class TachBias(WheelEffect):
 class TachScale(WheelEffect):
     """the telemetered speed is `factor` times the true one"""
 
+    reports = True
     equation = SPEED
     seen_in = "tachometer pulses lost or doubled"
     failures = ((106, 4),)
@@ -69,6 +85,7 @@ class TachFreeze(WheelEffect):
 
     rises = False
     switches = True
+    reports = True
     equation = SPEED
     seen_in = "tachometer or its converter hung"
     failures = ((106, 2),)
@@ -85,6 +102,7 @@ class TachDropout(WheelEffect):
 
     last = True  # whatever else is wrong with it, what is lost reads 0
     draws = 1
+    reports = True
     equation = SPEED
     seen_in = "no pulses from the tachometer"
     probability: Probability = 0.1  # 1: every reading
@@ -103,6 +121,7 @@ class TachQuantise(WheelEffect):
 
     rises = False
     switches = True
+    reports = True
     equation = SPEED
     seen_in = "few pulses a turn, a lost bit"
     step_rad_s: Annotated[RadS, Gt(0)] = 1.0
@@ -111,6 +130,36 @@ class TachQuantise(WheelEffect):
         """Round the reading to the coarsest of all steps."""
         if now.level > 0.0:
             wheel.speed_lsb_rad_s = max(wheel.speed_lsb_rad_s, self.step_rad_s)
+
+    def explain_futile(self, plant: PlantConfig | None, unit: str) -> str | None:
+        """Return why, when the frame itself has no finer steps."""
+        return _refuse_fine("step_rad_s", self.step_rad_s, SPEED_STEP_RAD_S, "rad/s")
+
+
+@register("wheel", "tach_garbage")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TachGarbage(WheelEffect):
+    """the telemetered speed is any number within +-`speed_rad_s`, anew each time"""
+
+    rises = False
+    switches = True
+    last = True
+    draws = 1
+    reports = True
+    equation = SPEED
+    seen_in = "noise on the lines of the tachometer"
+    failures = ((106, 3),)
+    speed_rad_s: Annotated[RadS, Gt(0)] = 300.0
+
+    def disturb(self, wheel: WheelDisturbance, now: Acting) -> None:
+        """Put a random reading in place of the true one."""
+        if now.level > 0.0:
+            wheel.speed_gain = 0.0
+            wheel.speed_offset_rad_s = (2.0 * now.drawn[0] - 1.0) * self.speed_rad_s
+
+    def explain_futile(self, plant: PlantConfig | None, unit: str) -> str | None:
+        """Return why, when the readings have no size."""
+        return _refuse(self.speed_rad_s, 0.0, "speed_rad_s")
 
 
 # -- current -------------------------------------------------------------------------------------------------------
@@ -121,6 +170,7 @@ class TachQuantise(WheelEffect):
 class CurrentBias(WheelEffect):
     """`current_a` is added to the telemetered current"""
 
+    reports = True
     equation = CURRENT
     seen_in = "offset of the current amplifier"
     current_a: Annotated[float, Unit("A")] = 0.05
@@ -139,6 +189,7 @@ class CurrentBias(WheelEffect):
 class CurrentScale(WheelEffect):
     """the telemetered current is `factor` times the true one"""
 
+    reports = True
     equation = CURRENT
     seen_in = "shunt or amplifier drifted"
     factor: float = 0.9
@@ -159,6 +210,7 @@ class CurrentFreeze(WheelEffect):
 
     rises = False
     switches = True
+    reports = True
     equation = CURRENT
     seen_in = "converter hung"
 
@@ -174,6 +226,7 @@ class CurrentDropout(WheelEffect):
 
     last = True  # whatever else is wrong with it, what is lost reads 0
     draws = 1
+    reports = True
     equation = CURRENT
     seen_in = "loose contact of the shunt"
     probability: Probability = 0.1  # 1: every reading
@@ -192,6 +245,7 @@ class CurrentQuantise(WheelEffect):
 
     rises = False
     switches = True
+    reports = True
     equation = CURRENT
     seen_in = "a coarse converter, a lost bit"
     step_a: Annotated[float, Unit("A"), Gt(0)] = 0.02
@@ -200,3 +254,7 @@ class CurrentQuantise(WheelEffect):
         """Round the reading to the coarsest of all steps."""
         if now.level > 0.0:
             wheel.current_lsb_a = max(wheel.current_lsb_a, self.step_a)
+
+    def explain_futile(self, plant: PlantConfig | None, unit: str) -> str | None:
+        """Return why, when the frame itself has no finer steps."""
+        return _refuse_fine("step_a", self.step_a, CURRENT_STEP_A, "A")
