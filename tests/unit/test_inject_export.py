@@ -68,6 +68,7 @@ def test_commanded_faults_fly_again_bit_for_bit(tmp_path: Path) -> None:
         bench.inject(unit="gyro", kind="spikes", rate_rad_s=1e-3, probability=0.1, id="noisy")
         bench.inject(unit="wheel.3", kind="bias", torque_nm=0.004, at_s=3.0049)
         bench.inject(unit="wheel.3", kind="bias", torque_nm=0.002, at_s=0.5, rise_s=3.0)
+        bench.inject(unit="bus", kind="loss", probability=0.05, id="lossy")
         bench.step(333)
         bench.clear(id="noisy")
         bench.clear(id="no such")
@@ -76,12 +77,13 @@ def test_commanded_faults_fly_again_bit_for_bit(tmp_path: Path) -> None:
         bench.step(200)
         bench.clear(unit="wheel.3")
         bench.clear(id="faults[0]")
+        bench.clear(unit="bus")
 
     log = fly(tmp_path, act)
     exported = export_faults(log)
     assert exported.inexact == exported.notes == []
     ids = [fault.get("id") for fault in exported.faults]
-    assert ids == [None, "command[0]", "noisy", "command[2]", "command[3]", "command[4]", "command[5]"]
+    assert ids == [None, "command[0]", "noisy", "command[2]", "command[3]", "lossy", "command[5]", "command[6]"]
     again = fly_list(tmp_path, format_export(exported, log))
     assert compare(read_run(log), again) == []
     assert len([f for f in again.faults if f["phase"] == "effect"]) >= 6
