@@ -39,14 +39,19 @@ def compare(a: Run, b: Run) -> list[str]:
     """The topics in which two runs differ. Of /faults what happened counts, not by whom.
 
     Heartbeats carry the number that stands for the scenario, faults and all, so they are left out of the frames, and with
-    them /fsw/input, which repeats the frames.
+    them /fsw/input, which repeats the frames. The wire's counts begin with the first bus fault that is known; lost frames
+    are compared.
     """
-    apart = ("/faults", "/events", "/fsw/input", "/can/bus0")
+    apart = ("/faults", "/events", "/fsw/input", "/can/bus0", "/plant/bus")
     names = [name for name, info in (a.topics | b.topics).items() if info.deterministic and name not in apart]
     assert len(names) > 10
     differ = [name for name in names if a.payloads(name) != b.payloads(name)]
     frames = [run.frames() for run in (a, b)]
     sent = [table[table["id"] < 0x700].tobytes() for table in frames]
+    if a.has("/plant/bus"):
+        lost = [run.signals("/plant/bus")["lost_loss"][-a.count("/plant/bus") :] for run in (a, b)]
+        assert lost[0][-1].sum() > 10
+        differ += ["/plant/bus"] if (lost[0] != lost[1]).any() else []
     differ += ["/can/bus0"] if sent[0] != sent[1] or not sent[0] else []
     happened = [
         [
