@@ -14,7 +14,7 @@ from tools.log.mcap_reader import Run, read_run
 from tools.run.bench import Bench
 
 SCENARIO = "zhang2018-flight"
-SHORT = ["duration_s=12", "expect=[]", "faults=[{unit: gyro.x, kind: ramp, slope_rad_s2: 1e-6, at_s: 1}]"]
+SHORT = ["duration_s=9", "expect=[]", "faults=[{unit: gyro.x, kind: ramp, slope_rad_s2: 1e-6, at_s: 1}]"]
 
 
 def fly(tmp_path: Path, act: Any, name: str = "a", overrides: list[str] | None = None) -> Path:
@@ -29,7 +29,7 @@ def fly(tmp_path: Path, act: Any, name: str = "a", overrides: list[str] | None =
 def fly_list(tmp_path: Path, text: str) -> Run:
     """Fly the same scenario with an exported list, read from a file as people would write it."""
     file = tmp_path / "again.yaml"
-    file.write_text(f"extends: {SCENARIO}\nduration_s: 12\nexpect: []\n{text}")
+    file.write_text(f"extends: {SCENARIO}\nduration_s: 9\nexpect: []\n{text}")
     log = tmp_path / "b.mcap"
     Bench.open(file, [], log=log).run_to_end()
     return read_run(log)

@@ -49,7 +49,7 @@ from tools.log.mcap_reader import Run, read_run
 from tools.log.recorder import Recorder
 from tools.run.bench_signals import read_signal
 from tools.run.provenance import describe_run, list_attachments
-from tools.run.run_file import describe_bench, ground_of, write_run_file
+from tools.run.run_file import RUN_FILE, describe_bench, ground_of, write_run_file
 
 ORIGIN = "bench"
 
@@ -93,6 +93,7 @@ class Bench:
         self.plant_node = PlantNode(plant, self._links[0], self.tick_ns, resolved.run_hash, bus=bus)
         timeline = [make_command(entry, tick_s) for entry in scenario.fsw.timeline]
         self.fsw_node = FswNode(self.flight, self._links[1], self.tick_ns, SystemClock(), timeline)
+        self._ground_dir = ground_dir
         self._grounds = self._open_grounds(ground_dir, log)
         self._answer = b""
         self._closed = False
@@ -212,6 +213,8 @@ class Bench:
         """Finish the log, and close the sockets. Harmless when repeated, and for a bench without them."""
         for ground in self._grounds:
             ground.close()
+        if self._ground_dir is not None:
+            (self._ground_dir / RUN_FILE).unlink(missing_ok=True)
         for link in self._links:
             with contextlib.suppress(RecordError):
                 link.close(reason)
