@@ -323,6 +323,10 @@ class Plant:
         self._wheels.look_again()
         return name
 
+    def check_fault(self, fault: Fault) -> None:
+        """Raise ConfigError, as `add_fault` would, when a fault cannot be added now."""
+        self._timeline.check(fault, self._step)
+
     def clear_faults(self, *, id: str | None = None, unit: str | None = None) -> tuple[str, ...]:
         """End faults now: that of an id, those of a unit, all when neither is given; return their ids.
 

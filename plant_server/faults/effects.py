@@ -154,6 +154,7 @@ class Effect:
     early: ClassVar[bool] = False  # acts ahead of all others of its unit, whenever its onset is
     last: ClassVar[bool] = False  # acts behind all others of its unit
     remembers: ClassVar[bool] = False  # has `follow` called once a step
+    brings_rivals: ClassVar[bool] = False  # looks like a second sender of an id: that is no failure of the run then
     resettable: ClassVar[bool] = False  # a reset or a power cycle of its unit heals it, where it has no latch
     # for the catalogue: where it is in the model's equations, where it was seen, MAVLink (FAILURE_UNIT, FAILURE_TYPE)
     equation: ClassVar[str] = ""

@@ -228,6 +228,13 @@ class FaultTimeline:
         An onset in the past takes effect now. Raises ConfigError when the fault is wrong, is already over, can have no
         effect, or has the id of another.
         """
+        name = self.check(fault, step)
+        self._commanded += 1
+        self._enter(fault, name, step)
+        return name
+
+    def check(self, fault: Fault, step: int) -> str:
+        """Return the id that a fault would get if it were added before the step; raises ConfigError as `add` does."""
         name = self._find_name() if fault.id is None else fault.id
         problems = [f"fault{format_path(p.path)}: {p.message}" for p in fault.check(self._plant)]
         if (word := fault.effect.explain_short(self._tick_s)) is not None:
@@ -239,8 +246,6 @@ class FaultTimeline:
             problems.append(f"fault.until_s: {text}")
         if problems:
             raise ConfigError(*problems)
-        self._commanded += 1
-        self._enter(fault, name, step)
         return name
 
     def _find_name(self) -> str:

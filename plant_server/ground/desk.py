@@ -61,16 +61,20 @@ class FaultDesk:
             return outcome._replace(reasons=tuple(shorten(reason) for reason in outcome.reasons)), None
         return outcome, next(item for item in self.node.plant.list_faults() if item.id == outcome.ids[0])
 
-    def explain(self, fault: dict[str, Any]) -> tuple[str, ...]:
-        """Return why a fault that is to begin now would be refused; nothing when it would not."""
-        reasons = tuple(self._explain_request(fault, None, None))
+    def explain(self, fault: dict[str, Any], count: int = 1) -> tuple[str, ...]:
+        """Return why a fault that is to begin now, one of so many, would be refused; nothing when it would not."""
+        reasons = tuple(self._explain_request(fault, None, None, count))
         if reasons:
             return reasons
+        arguments = self._complete(fault, None, None)
+        late = self._explain_onset(arguments["at_s"])
+        if late:
+            return (late,)
         try:
-            problems = build(Fault, self._complete(fault, None, None), "fault.add").check(self.node.plant.config)
+            self.node.plant.check_fault(build(Fault, arguments, "fault.add"))
         except ConfigError as error:
             return tuple(shorten(problem) for problem in error.problems)
-        return tuple(problem.message for problem in problems)
+        return ()
 
     def _complete(self, fault: dict[str, Any], at_tick: Any, for_s: Any) -> dict[str, Any]:
         """Return a sound fault with its onset and its end."""
@@ -81,11 +85,11 @@ class FaultDesk:
             arguments["until_s"] = arguments["at_s"] + for_s
         return arguments
 
-    def _explain_request(self, fault: dict[str, Any], at_tick: object, for_s: object) -> Iterator[str]:
+    def _explain_request(self, fault: dict[str, Any], at_tick: object, for_s: object, count: int = 1) -> Iterator[str]:
         if not self.allowed:
             yield NOT_ALLOWED
             return
-        if len(self.node.plant.list_faults()) >= MOST_FAULTS:
+        if len(self.node.plant.list_faults()) + count > MOST_FAULTS:
             yield f"this run has had {MOST_FAULTS} faults; it takes no more"
         yield from _explain_values(fault)
         if at_tick is not None:

@@ -7,10 +7,11 @@ from typing import Final
 
 from bus.clock import MonotonicClock
 from bus.mavlink import words
-from bus.mavlink.component import Component, Identity
+from bus.mavlink.component import Component, Identity, Traffic
 from bus.mavlink.endpoint import Endpoint
 from bus.run import GroundConfig
 from plant_server.faults import FaultEvent
+from plant_server.ground.command import FailureCommand
 from plant_server.ground.desk import FaultDesk
 from plant_server.ground.requests import Requests
 from plant_server.node import PlantNode
@@ -65,10 +66,14 @@ def open_ground(
     """
     desk = FaultDesk(node, ticks, config.inject)
     requests = Requests(desk, name)
+    failures = FailureCommand(desk)
+    traffic = Traffic(commands={words.CMD_INJECT_FAILURE: failures.obey})
     endpoint = Endpoint(Path(config.socket), words.SYSTEM_ID, words.PLANT_COMPONENT)
     component = Component(
-        endpoint, IDENTITY, clock, lambda: (words.FLAG_HIL, 0, words.STATE_ACTIVE), on_request=requests.take
-    )
+        endpoint, IDENTITY, clock, lambda: (words.FLAG_HIL, 0, words.STATE_ACTIVE),
+        failures.list_parameters(), traffic, requests.take,
+    )  # fmt: skip
+    failures.component = component
     ground = PlantGround(node, component, desk, requests)
     node.ground = ground
     return ground

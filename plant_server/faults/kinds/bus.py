@@ -109,6 +109,7 @@ class Duplicate(BusEffect):
 class Reorder(BusEffect):
     """with `probability` per frame, it arrives behind the next one of its id"""
 
+    brings_rivals = True
     draws_each = 1
     equation = "frames"
     seen_in = "a controller with several transmit buffers, a gateway with two paths"
@@ -265,6 +266,7 @@ class Babble(BusEffect):
 class Masquerade(BusEffect):
     """once a tick a node sends a frame of another node's `can_id`, with right checksum and a counter of its own"""
 
+    brings_rivals = True
     rises = False
     switches = True
     sends_only = True

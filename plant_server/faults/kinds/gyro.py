@@ -25,6 +25,7 @@ class Constant(GyroEffect):
 
     equation = "y + f"
     seen_in = "Wang, Li & Ma 2010, first fault"
+    failures = ((0, 4),)
     rate_rad_s: RadS
 
     def disturb(self, sample: GyroSample, now: Acting) -> None:
@@ -43,7 +44,6 @@ class Periodic(GyroEffect):
 
     equation = "y + f sin(w t)"
     seen_in = "Wang, Li & Ma 2010, second fault"
-    failures = ((0, 8),)
     rate_rad_s: RadS  # amplitude
     frequency_rad_s: Annotated[RadS, Gt(0)]
     phase: Literal["onset", "absolute"] = "onset"  # where t starts: at the onset, or with the run
@@ -145,7 +145,6 @@ class Scale(GyroEffect):
 
     equation = "y (1 + s)"
     seen_in = "loop gain drifted"
-    failures = ((0, 4),)
     factor: float
 
     def disturb(self, sample: GyroSample, now: Acting) -> None:

@@ -31,7 +31,6 @@ class CoulombFriction(WheelEffect):
 
     equation = "k_c"
     seen_in = "Kepler wheel 4, January 2013; Dawn, June 2010: friction that grew for hours to months"
-    failures = ((101, 5),)
     coulomb_gain: Annotated[float, Ge(1), Le(10)] = 3.0
 
     def disturb(self, wheel: WheelDisturbance, now: Acting) -> None:
@@ -52,7 +51,6 @@ class ViscousFriction(WheelEffect):
 
     equation = "k_v"
     seen_in = "cold or degraded lubricant; Dawn, August 2012"
-    failures = ((101, 5),)
     viscous_gain: Annotated[float, Ge(1), Le(5)] = 2.5
 
     def disturb(self, wheel: WheelDisturbance, now: Acting) -> None:
@@ -73,6 +71,7 @@ class ExtraFriction(WheelEffect):
 
     equation = "tau_fe"
     seen_in = "fuzzy PID paper, eq (9); Cassini, December 2000: more current for the same speed"
+    failures = ((101, 5),)
     friction_nm: Annotated[NewtonMetre, Ge(0.0002), Le(0.01)] = 0.003
 
     def disturb(self, wheel: WheelDisturbance, now: Acting) -> None:
