@@ -52,7 +52,8 @@ def add_parser(subparsers: Any) -> None:
     )
     actions = parser.add_subparsers(metavar="ACTION", required=True)
     made = {
-        name: actions.add_parser(name, help=TITLES[name], description=_capitalise(TITLES[name])) for name in ACTIONS
+        name: actions.add_parser(name, help=TITLES[name], description=_capitalise(TITLES[name]), allow_abbrev=False)
+        for name in ACTIONS
     }
     _add_set(made["set"])
     made["catalogue"].add_argument("unit", nargs="?", metavar="UNIT", help="wheel.1, gyro.x, star_tracker, ...")
