@@ -272,7 +272,6 @@ class Masquerade(BusEffect):
     sends_only = True
     equation = "frames; the two senders of an id show in the alive counters, and are counted as rivals"
     seen_in = "a node that was configured with another's id, a replayed recording, an intruder"
-    failures = ((109, 4),)
     node: Node = "wheel.2"  # which
     can_id: CanId = 0x190  # of another node
     content: Literal["stale", "foreign"] = (
