@@ -17,6 +17,7 @@ from pathlib import Path
 import pytest
 
 from bus.mavlink.dialect import MAVLink, MAVLink_command_long_message
+from bus.mavlink.packets import Packets
 from tools.log.mcap_reader import read_run
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -38,9 +39,9 @@ def environment(tmp_path: Path) -> dict[str, str]:
     return {**os.environ, "TMPDIR": str(tmp_path / "t"), "PYTHONPATH": str(ROOT)}
 
 
-def start(command: str, cwd: Path, environment: dict[str, str]) -> subprocess.Popen[str]:
+def start(command: str, cwd: Path, environment: dict[str, str], *, plot: bool = False) -> subprocess.Popen[str]:
     """Start a bench in a directory; return when it can be found."""
-    words = [*HILSAT, *shlex.split(command)[1:], "--no-plot"]
+    words = [*HILSAT, *shlex.split(command)[1:], *([] if plot else ["--no-plot"])]
     child = subprocess.Popen(words, cwd=cwd, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     until_s = time.monotonic() + 30.0
     while not list((cwd / "t").glob("hilsat-*/run.json")):
@@ -147,6 +148,44 @@ def test_ground_links_and_a_gateway_that_dies(tmp_path: Path, environment: dict[
     assert killed
     assert "gateway was killed by SIGKILL before the run was over; the run went on without it" in said
     assert "simulated                          5 s" in out
+
+
+@pytest.mark.slow
+def test_two_sides_in_two_terminals_take_faults(tmp_path: Path, environment: dict[str, str]) -> None:
+    """`hilsat plant --inject` has the socket; each side with a link has a gateway of its own, for itself."""
+    ports = free_port(), free_port()
+    both = f"nominal --clock realtime --bus hub:{tmp_path / 't' / 'bus'}"
+    plant = start(f"hilsat plant {both} --inject --mavlink udpin:{ports[0]}", tmp_path, environment, plot=True)
+    fsw = subprocess.Popen([*HILSAT, "fsw", *both.split()], cwd=tmp_path, env=environment, stderr=subprocess.PIPE)
+    try:
+        done = hilsat("hilsat inject wheel.2 loss effectiveness=0.3 --wait --timeout 30 --json", tmp_path, environment)
+        assert done.returncode == 0, done.stderr
+        assert json.loads(done.stdout)["state"] == "bit"
+        answer = ask_version(ports[0], 25)
+        assert answer == [25]
+        assert ask_version(ports[0], 1) == []
+    finally:
+        plant.send_signal(signal.SIGTERM)
+        plant.communicate(timeout=60)
+        fsw.communicate(timeout=60)
+    assert not list((tmp_path / "t").glob("hilsat-*"))
+
+
+def ask_version(port: int, component: int) -> list[int]:
+    """Which components answer a request for AUTOPILOT_VERSION."""
+    protocol = MAVLink(None, 255, 190)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ground:
+        ground.settimeout(0.5)
+        message = MAVLink_command_long_message(1, component, 512, 0, 148.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        ground.sendto(bytes(message.pack(protocol)), ("127.0.0.1", port))
+        heard = []
+        until_s = time.monotonic() + 2.0
+        while time.monotonic() < until_s:
+            try:
+                heard += Packets(0, 0).read(ground.recv(4096))
+            except TimeoutError:
+                continue
+    return sorted({found.get_srcComponent() for found in heard if found.get_type() == "AUTOPILOT_VERSION"})
 
 
 @pytest.mark.slow

@@ -52,7 +52,8 @@ def add_parser(subparsers: Any) -> None:
     )
     actions = parser.add_subparsers(metavar="ACTION", required=True)
     made = {
-        name: actions.add_parser(name, help=TITLES[name], description=_capitalise(TITLES[name])) for name in ACTIONS
+        name: actions.add_parser(name, help=TITLES[name], description=_capitalise(TITLES[name]), allow_abbrev=False)
+        for name in ACTIONS
     }
     _add_set(made["set"])
     made["catalogue"].add_argument("unit", nargs="?", metavar="UNIT", help="wheel.1, gyro.x, star_tracker, ...")
@@ -211,10 +212,13 @@ def _format_cleared(reply: dict[str, Any]) -> str:
 
 def _catalogue(args: argparse.Namespace) -> int:
     """What the running plant takes; what any plant takes where none runs."""
-    from tools.inject.catalogue import format_kinds, list_kinds
+    from plant_server.ground.catalogue import list_kinds
+    from tools.inject.catalogue import format_kinds
 
     if args.run is None and not any(bench.about.plant for bench in list_benches()):
-        kinds = list_kinds(args.unit)
+        kinds = list_kinds(None, args.unit)
+        if isinstance(kinds, str):
+            raise UsageError(kinds)
         print("hilsat inject: no bench runs; this is what any plant may take", file=sys.stderr)
         reply: dict[str, Any] = {"state": "done", "kinds": kinds}
     else:
