@@ -254,6 +254,7 @@ class BusEffect(Effect):
 
     __slots__ = ()
     sends_only: ClassVar[bool] = False  # concerns what the node sends, and not what it is sent
+    delays: ClassVar[bool] = False  # makes a difference only where that is more than the bus lets pass
     on_wire: ClassVar[bool] = False  # strikes each attempt to send a frame, where the bus takes its time
 
     @property

@@ -45,6 +45,7 @@ class Loss(BusEffect):
 class Delay(BusEffect):
     """frames arrive `delay_s` late; on time where that is at most half a tick"""
 
+    delays = True
     equation = "frames"
     seen_in = "a gateway with a queue, a driver with a slow task"
     failures = ((109, 6),)
@@ -67,6 +68,7 @@ class Delay(BusEffect):
 class Jitter(BusEffect):
     """frames arrive late by chance, up to `jitter_s`; those of one id stay in their order"""
 
+    delays = True
     draws_each = 1
     equation = "frames"
     seen_in = "a busy gateway, an operating system that lets its driver wait"
