@@ -71,7 +71,7 @@ coverage: $(STAMP)
 
 # What must never fail is covered whole: every line and branch of executive, codec and safe mode.
 coverage-gate: $(STAMP)
-	HILSAT_BUILD=plain HILSAT_THOROUGH=1 $(BIN)/python -m pytest -q tests/unit/test_executive.py tests/unit/test_modes.py tests/unit/test_e2e.py \
+	HILSAT_BUILD=plain HILSAT_THOROUGH=1 $(BIN)/python -m pytest -q -n auto tests/unit/test_executive.py tests/unit/test_modes.py tests/unit/test_e2e.py \
 	  tests/property/test_codec.py tests/property/test_usual_batch.py tests/property/test_cycle_fuzz.py \
 	  --cov=fsw.executive --cov=fsw.schedule --cov=fsw.modes --cov=bus.icd.codec --cov=bus.icd.e2e \
 	  --cov-branch --cov-report=term-missing --cov-fail-under=100
