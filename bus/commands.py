@@ -45,6 +45,10 @@ class CommandQueue:
         for command in commands:
             self.add(command)
 
+    def __len__(self) -> int:
+        """How many wait."""
+        return len(self._waiting)
+
     def add(self, command: Command) -> None:
         """Queue a command."""
         self._waiting.append(command)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -51,12 +52,17 @@ def _fly(config: FswFile, telemetry_fd: int | None, progress_fd: int | None) -> 
     link = TelemetryLink(telemetry_fd, SOURCE, blocking=run.clock.mode != "realtime")
     timeline = [make_command(entry, tick_s) for entry in config.fsw.timeline]
     node = FswNode(flight, link, run.tick_ns, SystemClock(), timeline)
-    transport = open_transport(run.bus.address, node="fsw", bitrate_bps=run.bus.bitrate_bps)
-    with last_word(
-        "fsw", transport, link, Progress(progress_fd),
-        lambda failed: flight.outputs.heartbeat(FAILED if failed else STOPPED),
-        lambda: flight.executive.cycles * run.tick_ns,
-    ):  # fmt: skip
+    with contextlib.ExitStack() as stack:
+        if config.ground is not None:
+            from fsw.ground import open_ground  # a run without it is not to wait for the dialect
+
+            stack.callback(open_ground(node, config.ground, SystemClock()).close)
+        transport = open_transport(run.bus.address, node="fsw", bitrate_bps=run.bus.bitrate_bps)
+        stack.enter_context(last_word(
+            "fsw", transport, link, Progress(progress_fd),
+            lambda failed: flight.outputs.heartbeat(FAILED if failed else STOPPED),
+            lambda: flight.executive.cycles * run.tick_ns,
+        ))  # fmt: skip
         meet_plant(transport, flight.outputs, run.run_hash, MEETING_PATIENCE_S)
         _loop(config, node, transport)
 

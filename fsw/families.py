@@ -112,6 +112,11 @@ class Guide:
 
     __slots__ = ()
 
+    @property
+    def top_rate_rad_s(self) -> float:
+        """The rate that it is sure to come to [rad/s]; 0 where it does not say."""
+        return 0.0
+
     def point(self, t_s: float) -> Target:
         """Return the target at the time t_s [s]."""
         raise NotImplementedError

@@ -14,7 +14,7 @@ from bus.errors import ConfigError
 from bus.icd.heartbeat import count_heartbeat_ticks
 from bus.linear import ZERO3, ZERO4, add, cross, subtract, times
 from bus.units import Vec3, Vec4
-from fsw import allocators, controllers, estimation, gyro_fdi, observers, wheel_health
+from fsw import allocators, controllers, estimation, gyro_fdi, observers, tuning, wheel_health
 from fsw.config import FswConfig
 from fsw.drive import REST, Drive
 from fsw.executive import ExecutiveCounters
@@ -22,7 +22,7 @@ from fsw.families import NO_INTERNALS, Algorithm
 from fsw.guidance import Guidance, timeline
 from fsw.guidance.guidance import feed_forward
 from fsw.inputs import Inputs
-from fsw.modes import DEGRADED, POINT, STANDBY, Mode, ModeManager
+from fsw.modes import DEGRADED, DETUMBLE, MODE_VERBS, POINT, STANDBY, Mode, ModeManager
 from fsw.null_space import NullSpace
 from fsw.outputs import Outputs
 from fsw.rate_mean import RateMean
@@ -87,16 +87,19 @@ class Flight:
         self.observer = observers.REGISTRY.make(config.observer, vehicle, control_s)
         self.wheel_health = wheel_health.REGISTRY.make(config.wheel_health, vehicle, control_s)
         self.controller = controllers.REGISTRY.make(config.controller, vehicle, control_s)
+        self.law_settings: Any = config.controller
         self.allocator = allocators.REGISTRY.make(config.allocator, vehicle, control_s)
         self.null_space = NullSpace(config.null_space, vehicle, control_s)
         self.drive = Drive(config.drive, vehicle, config.wheel_health.kind)
         self.guidance = Guidance(config.target_q)
         self.control_slot, self.diagnostics_slot = flight_schedule(config.executive.control_divider).open_slots()
         self._control_s = control_s
-        self._control_ticks = config.executive.control_divider
+        self.control_ticks = config.executive.control_divider
         self._rate_mean = RateMean()
-        self._damping_nm_s = config.modes.damping_nm_s
-        self._feed_forward = config.guidance.feed_forward
+        self.damping_nm_s = config.modes.damping_nm_s
+        self.feed_forward = config.guidance.feed_forward
+        self.slew_rate_deg_s = tuning.SLEW_RATE_DEG_S  # with which the ground's attitudes are turned to; 0: a step
+        self.slew_acceleration_deg_s2 = tuning.SLEW_ACCELERATION_DEG_S2
         self._reset_outputs()
 
     def _reset_outputs(self) -> None:
@@ -121,7 +124,7 @@ class Flight:
         safe_requested : the executive asks for safe mode
         """
         for command in commands:
-            self.guidance.follow(command, tick * self._tick_s)
+            self._obey(command, tick)
         inputs = self.inputs
         sensors = inputs.receive(tick, batch)
         estimate = self.estimator.step(sensors)
@@ -144,7 +147,7 @@ class Flight:
         if self.control_ran:
             ticks = self.control_slot.take(tick)
             self._control(
-                self._control_s if ticks == self._control_ticks else ticks * self._tick_s, mode, sensors, estimate
+                self._control_s if ticks == self.control_ticks else ticks * self._tick_s, mode, sensors, estimate
             )
         return self.outputs.commands(tick, inputs.plant_tick & 0xFF, self.wheel_commands, mode, self.executive.slips)
 
@@ -177,13 +180,56 @@ class Flight:
 
     def check(self, command: Command, tick: int) -> str:
         """Why a command cannot be obeyed, in words; empty where it can."""
-        if not timeline.is_known(command.verb):
-            return f"{command.verb} is not known; there are: {', '.join(timeline.PREFIX + word for word in timeline.GUIDES)}"
+        verb = command.verb
+        if verb in MODE_VERBS:
+            return self._check_mode(MODE_VERBS[verb], command)
+        if verb == tuning.VERB:
+            return tuning.check(self, command.arguments)
+        if not timeline.is_known(verb):
+            verbs = [*[timeline.PREFIX + word for word in timeline.GUIDES], *MODE_VERBS, tuning.VERB]
+            return f"{verb} is not known; there are: {', '.join(verbs)}"
         try:
-            timeline.make_guide(command, self.guidance.target, tick * self._tick_s)
+            guide = timeline.make_guide(command, self.guidance.target, tick * self._tick_s)
         except ConfigError as error:
             return str(error)
+        highest = self.modes.detumble_above_rad_s
+        if guide.top_rate_rad_s > highest:
+            return (
+                f"{guide.top_rate_rad_s * DEG_PER_RAD:.3g} deg/s is above modes.detumble_above_deg_s = "
+                f"{highest * DEG_PER_RAD:.3g} deg/s, at which pointing is given up for damping"
+            )
         return ""
+
+    def _check_mode(self, mode: Mode, command: Command) -> str:
+        """Why a mode cannot be had; empty where it can."""
+        if command.arguments:
+            return f"{command.verb} takes no arguments"
+        if mode is POINT and not (self.detection.estimate.valid and self.inputs.sensors.star_valid):
+            return "there is no attitude to point with"
+        if (mode is POINT or mode is DETUMBLE) and not self.detection.rate_good:
+            return "there is no rate to damp with"
+        return ""
+
+    def _obey(self, command: Command, tick: int) -> None:
+        """Do what a command says that `check` did not object to."""
+        if command.verb in MODE_VERBS:
+            self.modes.command(MODE_VERBS[command.verb])
+        elif command.verb == tuning.VERB:
+            tuning.apply(self, command.arguments)
+        else:
+            self.guidance.follow(command, tick * self._tick_s)
+
+    def check_law(self, settings: Any) -> None:
+        """Raise ConfigError or DesignError where a law of these settings cannot be made."""
+        controllers.REGISTRY.make(settings, self.vehicle, self._control_s)
+
+    def change_law(self, settings: Any) -> None:
+        """Take up the law with other settings of its kind: a new one, whose integral begins at zero.
+
+        Raises ConfigError or DesignError, and keeps the old one, where that cannot be made.
+        """
+        self.controller = controllers.REGISTRY.make(settings, self.vehicle, self._control_s)
+        self.law_settings = settings
 
     def _control(self, dt_s: float, mode: Mode, sensors: Sensors, estimate: Estimate) -> None:
         """Observe, judge the wheels, guide, control, allocate, drive: everything that runs at the control rate.
@@ -205,7 +251,7 @@ class Flight:
             health = self._judge(self.wheel_health.step(dt_s, wheels, tau_rw_nm, tau_fault))
             error = self.guidance.find_error(estimate.q_ib, rate)
             torque = self.controller.step(dt_s, error, subtract(tau_fault, health.explained_b_nm), health)
-            if self._feed_forward and not self.guidance.target.at_rest:
+            if self.feed_forward and not self.guidance.target.at_rest:
                 follow = self._follow_target(error, rate, momentum)
                 torque = add(torque, follow)
         else:
@@ -281,6 +327,6 @@ class Flight:
     def _damp(self, mode: Mode, omega_bi_b_rad_s: Vec3) -> Vec3:
         if mode is STANDBY or not self.detection.rate_good:
             return ZERO3
-        k = -self._damping_nm_s
+        k = -self.damping_nm_s
         x, y, z = omega_bi_b_rad_s
         return (k * x, k * y, k * z)

@@ -12,7 +12,7 @@ from bus.telemetry.link import Link, Row, TickPacker, announce_topics, pack_inpu
 from bus.wheels import ACTIONS, CLEAR_LATCH
 from fsw.flight import Flight
 from fsw.modes import Mode
-from fsw.records import NO_KIND, NO_WHEEL, Flags4, WheelHealth
+from fsw.records import NO_KIND, NO_WHEEL, Detection, Flags4, WheelHealth
 from fsw.telemetry import (
     CONTROL_TOPICS,
     FIRST_CHANNEL,
@@ -35,6 +35,8 @@ if COMPILED:  # never where librt may be missing
 SAFE_ASKED: Final = 1  # flags of /fsw/input
 SHEDDING: Final = 2
 LINK_CHANNEL: Final = 150
+ALARM: Final = 2  # states of a gyro axis from here on: the axis is not used as it is
+SOUND_GYRO = (0, 0, 0)
 WAIT_S: Final = 1.0  # a mode that waits for longer says for what
 
 
@@ -50,6 +52,7 @@ class FlightLog:
         self._rivals_said: set[int] = set()
         self._kinds, self._available, self._dither = NO_KIND, flight.vehicle.fitted, 0
         self._dead = NO_WHEEL
+        self._gyro_state, self._star_heard, self._star_lost = SOUND_GYRO, False, False
         self._waited_for, self._since_tick, self._said = "", 0, False
         self._every_tick = TickPacker(TICK_TOPICS, FIRST_CHANNEL)
         self._on_control = TickPacker(CONTROL_TOPICS, FIRST_CHANNEL + len(TICK_TOPICS))
@@ -82,6 +85,7 @@ class FlightLog:
             if flight.inputs.watch.is_troubled:
                 links = read_link_health(flight)
                 self._say_links()
+            self._say_sensors(t_ns)
             health = flight.health
             if health.kind != self._kinds or health.available != self._available or health.dither != self._dither:
                 self._say_wheels(health, t_ns)
@@ -152,6 +156,31 @@ class FlightLog:
         """A line for every unit that falls silent or is heard again, every babbling id, and what the controller reports."""
         for tick, level, words in self._flight.inputs.watch.take_lines():
             self.link.event(tick * self._tick_ns, level, "fsw", words)
+
+    def _say_sensors(self, t_ns: int) -> None:
+        """A line for every axis of the gyro that is found wrong, and when there is no attitude from the star tracker."""
+        sensors, detection = self._flight.inputs.sensors, self._flight.detection
+        if detection.gyro_state != self._gyro_state:
+            self._say_gyro(detection, t_ns)
+        if sensors.star_valid != self._star_heard:
+            if not self._star_heard and self._star_lost:
+                self.link.event(t_ns, "info", "fsw", "star_tracker gives an attitude again")
+            elif self._star_heard:
+                self._star_lost = True
+                self.link.event(t_ns, "warning", "fsw", f"star_tracker: no attitude for {sensors.star_age_s:.1f} s")
+            self._star_heard = sensors.star_valid
+
+    def _say_gyro(self, detection: Detection, t_ns: int) -> None:
+        """A line for every axis that is found faulty, told what is wrong with it, or found well again."""
+        for i, axis in enumerate("xyz"):
+            state, before = detection.gyro_state[i], self._gyro_state[i]
+            if state >= ALARM and state > before:
+                found = "fault isolated" if state == ALARM else "fault classified"
+                size = detection.fault_hat_b_rad_s[i]
+                self.link.event(t_ns, "warning", "fsw", f"gyro.{axis}: {found}, about {size:.2g} rad/s")
+            elif before >= ALARM and state < ALARM:
+                self.link.event(t_ns, "info", "fsw", f"gyro.{axis}: no fault any more")
+        self._gyro_state = detection.gyro_state
 
     def _say_request(self, t_ns: int) -> None:
         """A line for every request to a wheel."""

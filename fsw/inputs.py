@@ -69,8 +69,8 @@ class Inputs:
     def __init__(self, modes: ModesConfig, vehicle: Vehicle, tick_s: float, run_hash: int) -> None:
         self._run_hash = run_hash
         self._tick_s = tick_s
-        self._hold_ticks = modes.stale_after_ticks
-        self._star_hold_s = modes.star_stale_after_s
+        self.hold_ticks = modes.stale_after_ticks
+        self.star_hold_s = modes.star_stale_after_s
         self._slow_hold_ticks = SLOW_HOLD_PERIODS * count_heartbeat_ticks(tick_s)
         self._fitted = vehicle.fitted
         self._rotor_inertia_kgm2 = vehicle.wheel_inertia_kgm2
@@ -157,7 +157,7 @@ class Inputs:
         sensors.t_s = tick * self._tick_s
         sensors.star_new = self._q_new
         age_s = sensors.star_age_s = (tick - self._q_tick) * self._tick_s
-        sensors.star_valid = age_s <= self._star_hold_s
+        sensors.star_valid = age_s <= self.star_hold_s
         sensors.q_ib_meas = self._q_ib
         return sensors
 
@@ -212,7 +212,7 @@ class Inputs:
 
     def _judge_age(self, tick: int) -> None:
         """Mark what has not been heard for too long."""
-        oldest = tick - self._hold_ticks
+        oldest = tick - self.hold_ticks
         if self._all_tick >= oldest:
             self.sensors.gyro_valid = ALL_AXES
             for wheel in self.sensors.wheels:
@@ -274,7 +274,7 @@ class Inputs:
                 self.counters.implausible += 1
                 return
             age_ticks = self._find_age(int(values[4]))
-            if age_ticks > self._hold_ticks:
+            if age_ticks > self.hold_ticks:
                 self.counters.too_old += 1
                 return
             reading = self.sensors.wheels[wheel]

@@ -33,7 +33,7 @@ CRTL, BUSOFF, RESTARTED = 0x4, 0x40, 0x100
 WARNING_BITS, PASSIVE_BITS, ACTIVE_BITS = 0x0C, 0x30, 0x40
 WORDS: Final = ("error active again", "at the warning limit", "error passive", "bus-off", "restarted")
 BACK_ACTIVE, WARNS, PASSIVE, OFF, BACK = 0, 1, 2, 3, 4
-QUIET_TICKS: Final = 100  # between two lines about the counters of the controller, but for going off and coming back
+QUIET_TICKS: Final = 500  # between two lines that say the same of a unit or of the CAN controller
 
 Line = tuple[int, str, str]  # tick, level, words
 
@@ -63,6 +63,8 @@ class LinkWatch:
     def reset(self) -> None:
         """Forget everything, as after boot."""
         self.silent = [False] * len(UNITS)
+        self._said_silent = [False] * len(UNITS)
+        self._named_tick = [NOT_HEARD] * len(UNITS)
         self.babblers: dict[int, Babbler] = {}
         self.babbling = 0  # how many ids are named
         self.error_frames = 0
@@ -74,7 +76,7 @@ class LinkWatch:
         self.next_look = (
             self._limits[STAR] + 1
         )  # tick on which somebody may have something to say without a missing unit
-        self._said_tick = NOT_HEARD
+        self._said_ticks = [NOT_HEARD] * len(WORDS)
 
     # -- silent units --------------------------------------------------------------------------------------------------
 
@@ -87,13 +89,14 @@ class LinkWatch:
                 continue
             link = links[i]
             last = link.tick if link.accepted else -1
-            is_silent = tick - last > self._limits[i]
-            if is_silent == self.silent[i]:
+            is_silent = self.silent[i] = tick - last > self._limits[i]
+            if is_silent == self._said_silent[i] or (is_silent and tick - self._named_tick[i] < QUIET_TICKS):
                 continue
-            self.silent[i] = is_silent
+            self._said_silent[i] = is_silent
             if not is_silent:
                 back.append(UNITS[i])
                 continue
+            self._named_tick[i] = tick
             refused = "" if link.outcome in (OK, LOST) else ": what comes is refused"
             gone.setdefault(f"silent since tick {last + 1}{refused}", []).append(UNITS[i])
         for words, units in gone.items():
@@ -187,14 +190,9 @@ class LinkWatch:
     def _note_state(self, tick: int, state: int) -> None:
         before = self.controller
         self.controller = BACK_ACTIVE if state == BACK else state
-        if before == state:
+        if before == state or tick - self._said_ticks[state] < QUIET_TICKS:
             return
-        if state >= OFF:
-            self._said_tick = NOT_HEARD
-        elif tick - self._said_tick < QUIET_TICKS:
-            return
-        else:
-            self._said_tick = tick
+        self._said_ticks[state] = tick
         self._say(tick, "warning" if state in (PASSIVE, OFF) else "info", f"CAN controller {WORDS[state]}")
 
     def _say(self, tick: int, level: str, words: str) -> None:

@@ -6,6 +6,10 @@
     point --attitude or rate stale--> safe                detumble --rate stale--> safe
     point --the wheels in use span fewer than three axes--> degraded --they span three again--> point
     any --safe requested--> safe --attitude and rate good for a while--> standby
+    any --commanded--> standby, safe        point, degraded --commanded--> detumble
+
+A command says which mode to be in from now on, as the initial mode does at boot: standby and safe are entered at once and
+kept, point and detumble by the rules above, out of whatever mode there is.
 
 Detumble and safe mode damp the rate, for which a good rate is enough; without one the wheels are commanded to rest.
 Degraded is pointing with what is left: about the axes that the wheels still reach; the rate about the others drifts. It is
@@ -14,6 +18,7 @@ left as pointing is.
 
 from __future__ import annotations
 
+import math
 from enum import IntEnum
 
 from bus.units import DEG, Vec3
@@ -33,27 +38,61 @@ class Mode(IntEnum):
 # for every cycle: `Mode.SAFE` is looked up through a property in Python 3.11
 STANDBY, DETUMBLE, POINT, SAFE, DEGRADED = Mode
 
+# what can be commanded: degraded comes of the wheels alone
+MODE_VERBS: dict[str, Mode] = {f"mode.{mode.name.lower()}": mode for mode in (STANDBY, DETUMBLE, POINT, SAFE)}
+
 
 class ModeManager:
     """Decides the mode of every cycle and remembers why it last changed, and what it waits for."""
 
     def __init__(self, config: ModesConfig, tick_s: float) -> None:
         """tick_s: time between two calls of `step` [s]."""
-        self._initial = Mode[config.initial.upper()]
+        self._at_boot = Mode[config.initial.upper()]
         self._detumble_above = (config.detumble_above_deg_s * DEG) ** 2  # rates squared [rad^2/s^2]
         self._point_below = (config.point_below_deg_s * DEG) ** 2
-        self._recover_after = config.recover_after_ticks
+        self.recover_after_ticks = config.recover_after_ticks  # good ticks before safe is left
         self._patience_ticks = max(1, round(config.star_stale_after_s / tick_s))
         self.reset()
 
     def reset(self) -> None:
         """Back to standby, as after boot."""
+        self._initial = self._at_boot  # to be in, as far as the rules allow
         self.mode = STANDBY
         self.reason = "boot"
         self.changes = 0
         self.waits_for = ""  # what keeps it in this mode, empty where nothing does
         self._good_ticks = 0
         self._rate_ticks = 0  # with a good rate and nothing else
+
+    @property
+    def intended(self) -> Mode:
+        """The mode to be in once everything is as it should be."""
+        return self._initial
+
+    @property
+    def detumble_above_rad_s(self) -> float:
+        """The rate above which pointing is given up for damping [rad/s]."""
+        return math.sqrt(self._detumble_above)
+
+    @detumble_above_rad_s.setter
+    def detumble_above_rad_s(self, rate_rad_s: float) -> None:
+        self._detumble_above = rate_rad_s * rate_rad_s
+
+    @property
+    def point_below_rad_s(self) -> float:
+        """The rate below which damping ends [rad/s]."""
+        return math.sqrt(self._point_below)
+
+    @point_below_rad_s.setter
+    def point_below_rad_s(self, rate_rad_s: float) -> None:
+        self._point_below = rate_rad_s * rate_rad_s
+
+    def command(self, mode: Mode) -> None:
+        """Be in this mode from now on, as far as the rules allow: one of MODE_VERBS."""
+        self._initial = mode
+        pointing = self.mode is POINT or self.mode is DEGRADED
+        if (mode is not self.mode and (mode is STANDBY or mode is SAFE)) or (mode is DETUMBLE and pointing):
+            self._enter(mode, "commanded")
 
     def step(
         self,
@@ -121,7 +160,7 @@ class ModeManager:
     def _leave_safe(self, attitude_good: bool, rate_good: bool, safe_requested: bool) -> None:
         if self._initial is SAFE:
             self.waits_for = ""
-        elif self._good_ticks >= self._recover_after:
+        elif self._good_ticks >= self.recover_after_ticks:
             self._enter(STANDBY, "sensors good again")
         elif self._good_ticks:
             self.waits_for = "the sensors to stay good"

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING
 
 from bus.clock import MonotonicClock
 from bus.commands import Command, CommandQueue
 from bus.telemetry.link import Link
 from fsw.flight import Flight
 from fsw.flight_log import SAFE_ASKED, SHEDDING, FlightLog
+
+if TYPE_CHECKING:
+    from fsw.ground import FswGround
 
 
 class FswNode:
@@ -21,7 +25,8 @@ class FswNode:
         self.flight = flight
         self.log = FlightLog(flight, link, tick_ns)
         self.commands = CommandQueue(commands)
-        self._tick_ns = tick_ns
+        self.tick_ns = tick_ns
+        self.ground: FswGround | None = None  # the link to the ground, where there is one
         self._clock = clock
 
     def tick(
@@ -38,6 +43,8 @@ class FswNode:
         shedding       : groups that are not essential are left out
         """
         flight, clock, counters = self.flight, self._clock, self.flight.executive
+        if self.ground is not None:
+            self.ground.poll(tick)
         due = self._take_commands(tick) if tick >= self.commands.next_tick else ()
         started_ns = clock.now_ns()
         answer = flight.cycle(tick, frames, due, safe_requested)
@@ -49,6 +56,8 @@ class FswNode:
         if cycle_ns > counters.max_cycle_ns:
             counters.max_cycle_ns = cycle_ns
         self.log.write(tick, frames, due, (SAFE_ASKED if safe_requested else 0) | (SHEDDING if shedding else 0))
+        if self.ground is not None:
+            self.ground.tell(frames, answer)
 
     def _take_commands(self, tick: int) -> tuple[Command, ...]:
         """The commands due on this tick that can be obeyed; each is announced, a refused one with the reason."""
@@ -59,7 +68,5 @@ class FswNode:
                 obeyed.append(command)
             words = f"refused: {problem}" if problem else f"obeyed at tick {tick}"
             level = "warning" if problem else "info"
-            self.log.link.event(
-                tick * self._tick_ns, level, "fsw", f"command {command.verb} ({command.origin}) {words}"
-            )
+            self.log.link.event(tick * self.tick_ns, level, "fsw", f"command {command.verb} ({command.origin}) {words}")
         return tuple(obeyed)

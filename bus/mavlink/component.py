@@ -36,6 +36,7 @@ HEARTBEAT_NS: Final = SECOND_NS
 FORGET_NS: Final = 10 * SECOND_NS  # a listener that has not been heard for so long
 LISTENERS: Final = 8
 FASTEST_US: Final = 20_000  # shortest interval of a stream
+APART_NS: Final = 10_000_000  # between the beginnings of two streams: a Unix socket's queue holds ten datagrams
 LATER: Final = 512  # messages that wait to be sent to one receiver
 AT_ONCE: Final = 16  # of them a poll
 RECEIVERS: Final = 16  # for whom messages wait
@@ -186,9 +187,17 @@ class Component:
     # -- the loop --------------------------------------------------------------------------------------------------
 
     def poll(self) -> None:
-        """Take what has come, send what is due. Bounded: at most endpoint.AT_ONCE datagrams in, AT_ONCE out to each."""
+        """Take what has come, send what is due."""
+        self.receive()
+        self.send()
+
+    def receive(self) -> None:
+        """Take what has come. Bounded: at most endpoint.AT_ONCE datagrams and endpoint.PACKETS_AT_ONCE packets."""
         for message, address in self.endpoint.poll():
             self._take(message, address)
+
+    def send(self) -> None:
+        """Send what is due. Bounded: AT_ONCE waiting messages to each receiver, each stream once to each listener."""
         if self._later:
             self._send_waiting()
         now_ns = self._clock.now_ns()
@@ -201,7 +210,7 @@ class Component:
         return bool(self._addresses)
 
     def say(self, severity: int, text: str, also: str = "") -> None:
-        """Send a STATUSTEXT to every listener, and to an address besides, in as many parts as it takes."""
+        """Queue a STATUSTEXT for every listener, and for an address besides, in as many parts as it takes."""
         raw = text.encode("utf-8", "replace")
         parts = [raw[i : i + TEXT_SIZE] for i in range(0, len(raw), TEXT_SIZE)] or [b""]
         number = 0
@@ -209,7 +218,8 @@ class Component:
             self._text_id = number = self._text_id % 65535 + 1
         for i, part in enumerate(parts[:255]):
             message = MAVLink_statustext_message(severity, part, number, i)
-            self.broadcast(message)
+            for address in self._addresses:  # not at once: a word that finds the queue full must not be lost for that
+                self.send_later(message, address)
             if also and also not in self._listeners:
                 self.send_later(message, also)
 
@@ -251,9 +261,7 @@ class Component:
     def _send_due(self, now_ns: int) -> None:
         self._listeners = {address: t for address, t in self._listeners.items() if now_ns - t < FORGET_NS}
         self._addresses = list(self._listeners)
-        if self._default_rates is None:
-            self._default_rates = dict(self.traffic.rates_hz)
-            self._streams = {i: (int(SECOND_NS / hz), now_ns) for i, hz in self._default_rates.items() if hz > 0.0}
+        self._load_rates()
         if now_ns >= self._heartbeat_ns:
             self._heartbeat_ns = now_ns + HEARTBEAT_NS
             self.broadcast(self._make_heartbeat())
@@ -264,6 +272,17 @@ class Component:
                     for message in self.traffic.messages[number](0):
                         self.broadcast(message)
         self._due_ns = min([self._heartbeat_ns, *[next_ns for _, next_ns in self._streams.values()]])
+
+    def _load_rates(self) -> dict[int, float]:
+        """Return the usual rates of the streams; the first time, begin them one after the other, not all at once."""
+        if self._default_rates is None:
+            self._default_rates = dict(self.traffic.rates_hz)
+            due_ns = self._clock.now_ns()
+            for number, hz in self._default_rates.items():
+                if hz > 0.0:
+                    self._streams[number] = (int(SECOND_NS / hz), due_ns)
+                    due_ns += APART_NS
+        return self._default_rates
 
     # -- what comes in ---------------------------------------------------------------------------------------------
 
@@ -329,14 +348,14 @@ class Component:
 
     def _set_interval(self, request: CommandRequest) -> int:
         """Set how often a message is sent: -1 never, 0 as usual, else the interval in microseconds."""
-        number, interval_us = request.whole(1, -1), request.number(2)
+        number, interval_us, usual_hz = request.whole(1, -1), request.number(2), self._load_rates()
         if number is None or number not in self.traffic.messages or number == HEARTBEAT_ID:
             return words.UNSUPPORTED
         if interval_us < 0.0:
             self._streams.pop(number, None)
             return words.ACCEPTED
         if interval_us == 0.0:
-            rate_hz = (self._default_rates or self.traffic.rates_hz).get(number, 0.0)
+            rate_hz = usual_hz.get(number, 0.0)
             interval_us = 1e6 / rate_hz if rate_hz > 0.0 else -1.0
         if interval_us < 0.0:
             self._streams.pop(number, None)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import os
 import socket
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
@@ -16,7 +17,8 @@ from bus.errors import UsageError
 from bus.mavlink.packets import LinkCounters, Message, Packets
 
 LARGEST: Final = 65536  # bytes of one datagram
-AT_ONCE: Final = 8  # datagrams of one poll
+AT_ONCE: Final = 8  # datagrams of one poll,
+PACKETS_AT_ONCE: Final = 16  # and packets in them: what is left of a datagram is for the next poll
 LONGEST_PATH: Final = 107  # bytes, of a Unix socket's name
 
 
@@ -29,6 +31,7 @@ class Endpoint:
         self.counters = LinkCounters()
         self._packets = Packets(system, component, self.counters)
         self._sequence: dict[str, int] = {}  # next number, by receiver; forgotten with it
+        self._left = (b"", "")  # of a datagram, and who sent it
         if len(os.fsencode(path)) > LONGEST_PATH:
             raise UsageError(
                 f"{path}: too long for a socket's name ({LONGEST_PATH} bytes); set TMPDIR to a shorter directory"
@@ -44,15 +47,25 @@ class Endpoint:
     def poll(self, most: int = AT_ONCE) -> list[tuple[Message, str]]:
         """Return the messages of at most so many datagrams that wait, each with the address to answer to ("": none)."""
         found: list[tuple[Message, str]] = []
-        for _ in range(most):
-            try:
-                datagram, sender = self._socket.recvfrom(LARGEST)
-            except (BlockingIOError, InterruptedError):
-                break
-            except OSError:  # an answer of ours met nobody
-                continue
-            address = sender if isinstance(sender, str) else ""
-            found += [(message, address) for message in self._packets.read(datagram)]
+        left, packets = most, PACKETS_AT_ONCE
+        while left > 0 and packets > 0:
+            left -= 1
+            datagram, address = self._left
+            if datagram:
+                self._left = (b"", "")
+            else:
+                try:
+                    datagram, sender = self._socket.recvfrom(LARGEST)
+                except (BlockingIOError, InterruptedError):
+                    break
+                except OSError:  # an answer of ours met nobody
+                    continue
+                address = sender if isinstance(sender, str) else ""
+            messages, rest, taken = self._packets.read_some(datagram, packets)
+            packets -= taken
+            if rest:
+                self._left = (rest, address)
+            found += [(message, address) for message in messages]
         return found
 
     def send(self, message: Message, to: str) -> bool:
@@ -79,6 +92,21 @@ class Endpoint:
             return True
         self._sequence[to] = (sequence + 1) % 256
         self.counters.sent += 1
+        return True
+
+    def send_together(self, messages: Sequence[Message], to: str) -> bool:
+        """Send messages as one datagram, which takes one place in the receiver's queue; False where `send` says so."""
+        sequence = self._sequence.get(to, 0)
+        data = b"".join([self._packets.write(message, (sequence + i) % 256) for i, message in enumerate(messages)])
+        self._sequence[to] = (sequence + len(messages)) % 256
+        try:
+            self._socket.sendto(data, to)
+        except OSError as error:
+            if not isinstance(error, BlockingIOError):
+                del self._sequence[to]
+            self.counters.dropped += len(messages)
+            return False
+        self.counters.sent += len(messages)
         return True
 
     def fileno(self) -> int:

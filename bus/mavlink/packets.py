@@ -38,18 +38,24 @@ class Packets:
 
     def read(self, datagram: bytes) -> list[Message]:
         """Return the messages of a datagram; what is none is counted."""
-        messages, at = [], 0
-        while at < len(datagram):
+        return self.read_some(datagram, len(datagram))[0]
+
+    def read_some(self, datagram: bytes, most: int) -> tuple[list[Message], bytes, int]:
+        """Return the messages of the first packets of a datagram, what stands behind them, and how many they were."""
+        messages: list[Message] = []
+        at = packets = 0
+        while at < len(datagram) and packets < most:
+            packets += 1
             size = _find_size(datagram, at)
             if size == 0 or at + size > len(datagram):
                 self.counters.garbage += 1
-                break
+                return messages, b"", packets
             message = self._decode(datagram[at : at + size])
             if message is not None:
                 self.counters.received += 1
                 messages.append(message)
             at += size
-        return messages
+        return messages, datagram[at:], packets
 
     def write(self, message: Message, sequence: int) -> bytes:
         """Return the packet of a message with this sequence number, 0..255."""

@@ -118,6 +118,7 @@ class Link:
         self._rows: list[Row] = []
         self._due_s = 0.0  # when to pack them, of the monotonic clock
         self._pack_rows: PackRows | None = None
+        self.hear: Callable[[str, str], object] | None = None  # is told level and words of every event
 
     def announce(self, topics_json: bytes, pack_rows: PackRows | None = None) -> None:
         """State the channel table (see announce_topics) and how rows become records, once, before the first tick."""
@@ -155,7 +156,9 @@ class Link:
         raise NotImplementedError
 
     def event(self, t_ns: int, level: int | str, name: str, message: str) -> None:
-        """Log a line on /events; level is debug, info, warning, error or fatal (1..5)."""
+        """Log a line on /events; level is debug, info, warning, error or fatal (1..5). Whoever listens hears it too."""
+        if self.hear is not None:
+            self.hear(str(level), message)
         self.write_json(EVENTS.name, t_ns, format_event(t_ns, level, name, message))
 
     def fault(

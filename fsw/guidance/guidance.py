@@ -15,7 +15,7 @@ from bus.linear import cross, subtract
 from bus.units import Vec3, Vec4
 from fsw.families import Guide
 from fsw.guidance.attitudes import read_attitude
-from fsw.guidance.timeline import make_guide
+from fsw.guidance.timeline import RATE, make_guide
 from fsw.records import PointingError, Target
 
 HYSTERESIS_Q0: Final = 0.1  # the sign changes only when q0 < -0.1: 11.5 degrees past the half turn
@@ -39,8 +39,16 @@ class Guidance:
 
     def follow(self, command: Command, t_s: float) -> None:
         """Take up another course from the time t_s on [s]. Raises ConfigError, and keeps its course, when it is wrong."""
-        self._guide = make_guide(command, self.target, t_s)
+        start = self.target
+        if self._guide is not None and command.verb == RATE:  # goes on from how the target moves
+            start = self._guide.point(t_s)
+        self._guide = make_guide(command, start, t_s)
         self.follows = True
+
+    @property
+    def course(self) -> Guide | None:
+        """The course that is followed; another object for every command."""
+        return self._guide
 
     def advance(self, t_s: float) -> Target:
         """Return the target at the time t_s [s], and keep it as the target of this tick."""

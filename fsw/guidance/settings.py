@@ -37,3 +37,13 @@ class TrackConfig:
     rate_deg_s: Annotated[Vec3, Unit("deg/s")]  # omega_ti, target axes
     rise_s: Annotated[Seconds, Ge(0)] = 0.0  # time in which the rate comes up linearly from zero; 0: a step
     target_q: Vec4 | None = None  # q_it at at_s, scalar first; none: where the target stands at that time
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RateConfig:
+    """Let the target turn at a rate in its own axes, from where it stands and as it moves: what the body's rate will be."""
+
+    do: Literal["rate"]
+    at_s: Annotated[Seconds, Ge(0)]
+    rate_deg_s: Annotated[Vec3, Unit("deg/s")]  # omega_ti, target axes; zero stops it
+    max_acceleration_deg_s2: Annotated[float, Unit("deg/s^2"), Gt(0)] = 0.01  # how fast the rate changes

@@ -9,22 +9,25 @@ from bus.commands import Command
 from bus.settings import build, plain
 from fsw.families import Guide
 from fsw.guidance.hold import Hold
-from fsw.guidance.settings import HoldConfig, SlewConfig, TrackConfig
+from fsw.guidance.rate import Rate
+from fsw.guidance.settings import HoldConfig, RateConfig, SlewConfig, TrackConfig
 from fsw.guidance.slew import Slew
 from fsw.guidance.track import Track
 from fsw.records import Target
 
 PREFIX: Final = "target."
+RATE: Final = PREFIX + "rate"
 
 # verb of the command, after PREFIX, and word `do` in the settings -> settings and course
 GUIDES: dict[str, tuple[type, Callable[[Any, Target, float], Guide]]] = {
     "hold": (HoldConfig, Hold),
     "slew": (SlewConfig, Slew),
     "track": (TrackConfig, Track),
+    "rate": (RateConfig, Rate),
 }
 
 if TYPE_CHECKING:
-    TimelineEntry = HoldConfig | SlewConfig | TrackConfig
+    TimelineEntry = HoldConfig | SlewConfig | TrackConfig | RateConfig
 else:
     import functools
     import operator

@@ -24,7 +24,7 @@ BUS = Topic(
         Field("delivered", "float64", 2, "1", "frames that arrived"),
         *(Field(f"lost_{reason}", "float64", 2, "1", f"frames lost for this reason: {reason}") for reason in REASONS),
         Field("waiting", "float64", 2, "1", "frames that are on their way"),
-        Field("late", "float64", 2, "1", "frames that arrived on a later tick than without faults"),
+        Field("late", "float64", 2, "1", "frames that arrived on a later tick than the one they were sent on"),
         Field("broken", "float64", 2, "1", "frames that arrived with turned bits or another length"),
         Field("attempts_failed", "float64", 1, "1", "attempts to send a frame so far that ended in an error frame"),
         Field("error_frames", "float64", 1, "1", "error frames so far that the flight computer's controller reported"),

@@ -58,6 +58,7 @@ class Wire:
         self._forger = Forger()
         self._active: tuple[Active, ...] = ()  # about single frames,
         self._of_nodes: tuple[Active, ...] = ()  # and the others
+        self._delaying: list[Active] = []  # those that hold the present frame back
         self._last_due: dict[tuple[int, int], int] = {}  # by direction and id
         self._heard: list[bytes] = []  # of this tick, from the flight software
         self._tick = self._step = self._number = 0
@@ -157,13 +158,18 @@ class Wire:
         on_wire : only kinds that strike each attempt, or only the others; None: all
         """
         fate = BusFrame()
+        self._delaying.clear()
         for entry in self._active:
             effect = entry.effect
             if on_wire is not None and effect.on_wire is not on_wire:
                 continue
             if effect.concerns(parcel.can_id, parcel.sender, parcel.receiver):
                 entry.draw_each()  # also where another fault has the frame already: nobody's chance depends on others
-                if not fate.lost and effect.disturb(fate, entry.now):
+                if fate.lost or not effect.disturb(fate, entry.now):
+                    continue
+                if effect.delays:
+                    self._delaying.append(entry)
+                else:
                     self._note(entry)
         return fate
 
@@ -209,9 +215,13 @@ class Wire:
     def _schedule(self, parcel: Parcel, fate: BusFrame) -> None:
         """Say when a frame may go on: no earlier than those of its id before it, but for one that is swapped."""
         if self._timed:
-            parcel.due += round(fate.delay_s * self._bitrate_bps)
+            late = round(fate.delay_s * self._bitrate_bps)
         else:
-            parcel.due += max(0, math.ceil(fate.delay_s / self._tick_s - 0.5 - 1e-9))
+            late = max(0, math.ceil(fate.delay_s / self._tick_s - 0.5 - 1e-9))
+        if late:
+            parcel.due += late
+            for entry in self._delaying:
+                self._note(entry)
         key = (parcel.way, parcel.can_id)
         if fate.swapped:
             parcel.is_swapped = True

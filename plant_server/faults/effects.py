@@ -173,6 +173,7 @@ class Effect:
     early: ClassVar[bool] = False  # acts ahead of all others of its unit, whenever its onset is
     last: ClassVar[bool] = False  # acts behind all others of its unit
     remembers: ClassVar[bool] = False  # has `follow` called once a step
+    brings_rivals: ClassVar[bool] = False  # looks like a second sender of an id: that is no failure of the run then
     resettable: ClassVar[bool] = False  # a reset or a power cycle of its unit heals it, where it has no latch
     # for the catalogue: where it is in the model's equations, where it was seen, MAVLink (FAILURE_UNIT, FAILURE_TYPE)
     equation: ClassVar[str] = ""
@@ -253,6 +254,7 @@ class BusEffect(Effect):
 
     __slots__ = ()
     sends_only: ClassVar[bool] = False  # concerns what the node sends, and not what it is sent
+    delays: ClassVar[bool] = False  # makes a difference only where that is more than the bus lets pass
     on_wire: ClassVar[bool] = False  # strikes each attempt to send a frame, where the bus takes its time
 
     @property

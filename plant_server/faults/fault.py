@@ -25,7 +25,7 @@ Latch = Literal[True, "until_reset", "until_power_cycle"]
 class FaultKeys:
     """One fault: what, where, from when, until when, how it comes on. The same form from YAML and from a command."""
 
-    unit: str  # wheel.1 .. wheel.4, gyro.x .. gyro.z, gyro (all axes), star_tracker
+    unit: str  # wheel.1 .. wheel.4, gyro.x .. gyro.z, gyro (all axes), star_tracker, bus
     kind: str  # see the kinds of fault
     at_s: Annotated[Seconds, Ge(0)]
     until_s: Annotated[Seconds, Gt(0)] | None = None  # None: to the end of the run

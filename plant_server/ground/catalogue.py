@@ -13,8 +13,8 @@ from plant_server.faults.effects import Effect
 from plant_server.faults.fault import magnitudes_of
 
 
-def list_kinds(plant: PlantConfig, unit: object = None) -> list[dict[str, Any]] | str:
-    """Return the kinds that can act on a unit or a family of units of this plant (None: on any), or why that is no unit.
+def list_kinds(plant: PlantConfig | None, unit: object = None) -> list[dict[str, Any]] | str:
+    """Return the kinds that can act on a unit or a family (None: on any) of this plant (None: of some), or why it is none.
 
     Each with `unit` (the family where it can act on all of its units), `units`, `kind`, `text` and `keys`.
     """
@@ -34,7 +34,7 @@ def list_kinds(plant: PlantConfig, unit: object = None) -> list[dict[str, Any]] 
     return found
 
 
-def can_act(cls: type[Effect], plant: PlantConfig, unit: str) -> bool:
+def can_act(cls: type[Effect], plant: PlantConfig | None, unit: str) -> bool:
     """Return whether a kind with ordinary magnitudes can have an effect on a unit of this plant."""
     return make_sample(cls).explain_futile(plant, unit) is None
 

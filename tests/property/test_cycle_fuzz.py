@@ -84,7 +84,9 @@ def test_random_bytes_never_raise_and_never_reach_a_control_output(
         sensors = good_sensors(tick)
         assert disturbed.cycle(tick, pack(junk) + sensors) == clean.cycle(tick, sensors)
     counters = disturbed.inputs.counters
-    assert counters.refused + counters.foreign == expected_refusals
+    watch = disturbed.inputs.watch
+    seen = counters.refused + counters.foreign + watch.error_frames + watch.flooded
+    assert seen == expected_refusals
     assert disturbed.wheel_commands.tau_rw_nm == clean.wheel_commands.tau_rw_nm != (0.0, 0.0, 0.0, 0.0)
 
 

@@ -19,6 +19,8 @@ ELSEWHERE = {  # commands that other tests run, because they need a partner, a k
     "hilsat plant": "test_cli.py::test_the_two_sides_meet_in_two_terminals",
     "hilsat fsw": "test_cli.py::test_the_two_sides_meet_in_two_terminals",
     "hilsat vcan": "test_vcan_runs.py",
+    "hilsat inject": "test_break_it.py",
+    "hilsat run zhang2018 --clock realtime": "test_break_it.py: five minutes each",
 }
 
 

@@ -198,6 +198,16 @@ class TestSameBytes:
         assert one.frames().tobytes() == two.frames().tobytes()
         assert one.digest() == two.digest()
 
+    def test_a_controller_that_goes_off(self, tmp_path: Path) -> None:
+        """Error frames go through the kernel as over the hub: the same bytes, and the flight software counts them."""
+        fault = "faults=[{unit: bus, kind: bus_off, node: fsw, at_s: 2, until_s: 4}]"
+        words = ["--set", "duration_s=6", "--set", "expect=[]", "--set", fault, "--no-plot", "--json", "-q"]
+        one = fly(tmp_path / "vcan", "zhang2018-flight", "socketcan:vcan0", *words).run
+        two = fly(tmp_path / "hub", "zhang2018-flight", "hub:", *words).run
+        assert one.frames().tobytes() == two.frames().tobytes()
+        assert one.digest() == two.digest()
+        assert one.signals("/fsw/link_health")["error_frames"][-1] == 6
+
     def test_kernel_stamps_are_logged_apart(self, tmp_path: Path) -> None:
         """One stamp for every frame that the plant received, in order, within the time of the run; not in the digest."""
         before_ns = time.time_ns()

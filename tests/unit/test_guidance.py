@@ -6,8 +6,10 @@ import math
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
+from bus.attitude import angle_between
 from bus.commands import Command
 from bus.errors import ConfigError
 from bus.units import Vec4
@@ -233,4 +235,44 @@ def test_a_command_during_a_slew_starts_where_the_target_stands() -> None:
 def test_every_word_of_the_timeline_has_its_settings() -> None:
     """`do` of each settings class is the word that it is found under."""
     assert GUIDES["hold"][0] is HoldConfig
-    assert set(GUIDES) == {"hold", "slew", "track"}
+    assert set(GUIDES) == {"hold", "slew", "track", "rate"}
+
+
+def test_a_rate_goes_on_from_how_the_target_moves() -> None:
+    """From a turn about x to one about z: attitude and rate without a jump, and the attitude that scipy integrates."""
+    guidance = Guidance(START)
+    limits = {"max_acceleration_deg_s2": 0.1}
+    guidance.follow(Command(0, "target.rate", {"rate_deg_s": [1.0, 0.0, 0.0]} | limits), 0.0)
+    before = guidance.advance(30.0)
+    guidance.follow(Command(300, "target.rate", {"rate_deg_s": [0.0, 0.5, 1.0]} | limits), 30.0)
+    after = guidance.advance(30.0)
+    assert after.q_it == pytest.approx(before.q_it, abs=1e-14)
+    assert after.omega_ti_t_rad_s == pytest.approx((1.0 * DEG, 0.0, 0.0), abs=1e-15)
+    ramp_s = 1.5 / 0.1  # the change is (-1, 0.5, 1) deg/s, 1.5 deg/s in length
+
+    def derivative(t_s: float, q: np.ndarray) -> np.ndarray:
+        share = min(1.0, t_s / ramp_s)
+        x, y, z = DEG * (1.0 - share), DEG * 0.5 * share, DEG * share
+        a, b, c, d = q
+        return 0.5 * np.array(
+            [-b * x - c * y - d * z, a * x + c * z - d * y, a * y + d * x - b * z, a * z + b * y - c * x]
+        )
+
+    for elapsed in (0.1, 7.0, 15.0, 40.0):
+        solution = solve_ivp(derivative, (0.0, elapsed), before.q_it, rtol=1e-12, atol=1e-13, max_step=0.5)
+        target = guidance.advance(30.0 + elapsed)
+        assert angle_between(target.q_it, tuple(solution.y[:, -1])) < 1e-9
+    assert target.omega_ti_t_rad_s == pytest.approx((0.0, 0.5 * DEG, DEG), abs=1e-15)
+    assert target.alpha_ti_t_rad_s2 == (0.0, 0.0, 0.0)
+
+
+def test_a_rate_of_zero_stops_the_target() -> None:
+    """It comes to rest after rate over limit, and stays."""
+    guidance = Guidance(START)
+    guidance.follow(Command(0, "target.track", {"rate_deg_s": [0.0, 0.2, 0.0]}), 0.0)
+    guidance.advance(5.0)
+    guidance.follow(Command(50, "target.rate", {"rate_deg_s": [0.0, 0.0, 0.0], "max_acceleration_deg_s2": 0.1}), 5.0)
+    assert not guidance.advance(6.9).at_rest
+    assert guidance.advance(7.0).at_rest
+    assert guidance.advance(7.0).q_it == pytest.approx(guidance.advance(9.0).q_it, abs=1e-15)
+    assert angle_between(START, guidance.target.q_it) == pytest.approx((0.2 * 5.0 + 0.2) * DEG, abs=1e-12)

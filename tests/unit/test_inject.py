@@ -369,6 +369,20 @@ def test_a_refusal_is_data_and_words(bench: tuple[Path, list[StandIn]], capsys: 
     assert "did you mean wheel.2?" in said.err
 
 
+@pytest.mark.parametrize(
+    "words", [["--at", "nan"], ["torque_nm=.inf"], ["id=" + "x" * 100_000], ["--timeout", "nan"], ["--tim", "3"]]
+)
+def test_what_cannot_be_sent_is_refused(bench: tuple[Path, list[StandIn]], words: list[str]) -> None:
+    """Numbers that are none, texts without end, options cut short: code 2, and the plant hears nothing."""
+    plant = serve(bench, lambda what: [{"state": "accepted", "final": True}])
+    try:
+        code = main(["inject", "wheel.2", "bias", *words])
+    except SystemExit as usage:
+        code = int(str(usage.code))
+    assert code == 2
+    assert plant.asked == []
+
+
 def test_clear_tells_an_id_from_a_unit(bench: tuple[Path, list[StandIn]], capsys: pytest.CaptureFixture[str]) -> None:
     """And asks for --all in so many words."""
     plant = serve(bench, lambda what: [{"state": "accepted", "tick": 7, "ids": ["a", "b"], "final": True}])
@@ -405,8 +419,10 @@ def test_the_catalogue_needs_no_bench(place: Path, capsys: pytest.CaptureFixture
     """Every kind of the register for each of its units, the keys with what they take."""
     assert main(["inject", "catalogue", "--json"]) == 0
     kinds = json.loads(capsys.readouterr().out)["kinds"]
-    loss = next(kind for kind in kinds if (kind["unit"], kind["kind"]) == ("wheel.2", "loss"))
-    assert loss["keys"] == [{"name": "effectiveness", "unit": "", "limits": ">= 0, < 1"}]
+    loss = next(kind for kind in kinds if "wheel.2" in kind["units"] and kind["kind"] == "loss")
+    assert loss["keys"] == [
+        {"name": "effectiveness", "unit": "1", "limits": ">= 0, < 1", "default": None, "needed": True}
+    ]
     assert main(["inject", "catalogue", "weel.2"]) == 2
     assert "did you mean wheel.2?" in capsys.readouterr().err
 

@@ -14,7 +14,7 @@ from tools.log.mcap_reader import Run, read_run
 from tools.run.bench import Bench
 
 SCENARIO = "zhang2018-flight"
-SHORT = ["duration_s=12", "expect=[]", "faults=[{unit: gyro.x, kind: ramp, slope_rad_s2: 1e-6, at_s: 1}]"]
+SHORT = ["duration_s=9", "expect=[]", "faults=[{unit: gyro.x, kind: ramp, slope_rad_s2: 1e-6, at_s: 1}]"]
 
 
 def fly(tmp_path: Path, act: Any, name: str = "a", overrides: list[str] | None = None) -> Path:
@@ -29,7 +29,7 @@ def fly(tmp_path: Path, act: Any, name: str = "a", overrides: list[str] | None =
 def fly_list(tmp_path: Path, text: str) -> Run:
     """Fly the same scenario with an exported list, read from a file as people would write it."""
     file = tmp_path / "again.yaml"
-    file.write_text(f"extends: {SCENARIO}\nduration_s: 12\nexpect: []\n{text}")
+    file.write_text(f"extends: {SCENARIO}\nduration_s: 9\nexpect: []\n{text}")
     log = tmp_path / "b.mcap"
     Bench.open(file, [], log=log).run_to_end()
     return read_run(log)
@@ -39,14 +39,19 @@ def compare(a: Run, b: Run) -> list[str]:
     """The topics in which two runs differ. Of /faults what happened counts, not by whom.
 
     Heartbeats carry the number that stands for the scenario, faults and all, so they are left out of the frames, and with
-    them /fsw/input, which repeats the frames.
+    them /fsw/input, which repeats the frames. The wire's counts begin with the first bus fault that is known; lost frames
+    are compared.
     """
-    apart = ("/faults", "/events", "/fsw/input", "/can/bus0")
+    apart = ("/faults", "/events", "/fsw/input", "/can/bus0", "/plant/bus")
     names = [name for name, info in (a.topics | b.topics).items() if info.deterministic and name not in apart]
     assert len(names) > 10
     differ = [name for name in names if a.payloads(name) != b.payloads(name)]
     frames = [run.frames() for run in (a, b)]
     sent = [table[table["id"] < 0x700].tobytes() for table in frames]
+    if a.has("/plant/bus"):
+        lost = [run.signals("/plant/bus")["lost_loss"][-a.count("/plant/bus") :] for run in (a, b)]
+        assert lost[0][-1].sum() > 10
+        differ += ["/plant/bus"] if (lost[0] != lost[1]).any() else []
     differ += ["/can/bus0"] if sent[0] != sent[1] or not sent[0] else []
     happened = [
         [
@@ -68,6 +73,7 @@ def test_commanded_faults_fly_again_bit_for_bit(tmp_path: Path) -> None:
         bench.inject(unit="gyro", kind="spikes", rate_rad_s=1e-3, probability=0.1, id="noisy")
         bench.inject(unit="wheel.3", kind="bias", torque_nm=0.004, at_s=3.0049)
         bench.inject(unit="wheel.3", kind="bias", torque_nm=0.002, at_s=0.5, rise_s=3.0)
+        bench.inject(unit="bus", kind="loss", probability=0.05, id="lossy")
         bench.step(333)
         bench.clear(id="noisy")
         bench.clear(id="no such")
@@ -76,12 +82,13 @@ def test_commanded_faults_fly_again_bit_for_bit(tmp_path: Path) -> None:
         bench.step(200)
         bench.clear(unit="wheel.3")
         bench.clear(id="faults[0]")
+        bench.clear(unit="bus")
 
     log = fly(tmp_path, act)
     exported = export_faults(log)
     assert exported.inexact == exported.notes == []
     ids = [fault.get("id") for fault in exported.faults]
-    assert ids == [None, "command[0]", "noisy", "command[2]", "command[3]", "command[4]", "command[5]"]
+    assert ids == [None, "command[0]", "noisy", "command[2]", "command[3]", "lossy", "command[5]", "command[6]"]
     again = fly_list(tmp_path, format_export(exported, log))
     assert compare(read_run(log), again) == []
     assert len([f for f in again.faults if f["phase"] == "effect"]) >= 6
@@ -151,5 +158,7 @@ def test_a_log_without_commands_gives_its_own_list(tmp_path: Path, capsys: pytes
     log = fly(tmp_path, lambda bench: None)
     assert main(["inject", "export", str(log)]) == 0
     assert "slope_rad_s2: 1.0e-06" in capsys.readouterr().out
+    assert main(["inject", "export", str(log), "--extends", SCENARIO]) == 0
+    assert f"extends: {SCENARIO}\nfaults:\n" in capsys.readouterr().out
     (tmp_path / "none.mcap").write_text(json.dumps({}))
     assert main(["inject", "export", str(tmp_path / "none.mcap")]) == 3

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from bus.units import DEG
-from fsw.modes import Mode, ModeManager
+from fsw.modes import MODE_VERBS, Mode, ModeManager
 from fsw.settings import ModesConfig
 
 TICK_S = 0.1
@@ -180,3 +180,90 @@ def test_degraded_is_left_as_pointing_is() -> None:
     modes.step(True, True, STILL, False, "out")
     assert modes.step(True, True, SPINNING, False, "out") is Mode.DETUMBLE
     assert modes.step(True, True, SPINNING, False, "out") is Mode.DETUMBLE
+
+
+# -- commands ----------------------------------------------------------------------------------------------------------
+
+
+def test_standby_and_safe_are_entered_at_once_and_kept() -> None:
+    """From pointing: no waiting for anything, and no way back but a command."""
+    for mode in (Mode.STANDBY, Mode.SAFE):
+        modes = ModeManager(ModesConfig(recover_after_ticks=1), TICK_S)
+        modes.step(True, True, STILL, False)
+        modes.command(mode)
+        assert (modes.mode, modes.reason, modes.intended) == (mode, "commanded", mode)
+        for _ in range(50):
+            assert modes.step(True, True, SPINNING, False) is mode
+        changes = modes.changes
+        modes.command(mode)
+        assert modes.changes == changes
+
+
+def test_point_is_entered_by_the_rules_out_of_whatever_mode() -> None:
+    """From a commanded standby at once, from a commanded safe after the count, from a kept detumble when the rate is low."""
+    modes = ModeManager(ModesConfig(recover_after_ticks=3), TICK_S)
+    modes.step(True, True, STILL, False)
+    modes.command(Mode.STANDBY)
+    modes.step(True, True, STILL, False)
+    modes.command(Mode.POINT)
+    assert modes.step(True, True, STILL, False) is Mode.POINT
+    modes.command(Mode.SAFE)
+    modes.step(False, True, STILL, False)
+    modes.command(Mode.POINT)
+    assert [modes.step(True, True, STILL, False) for _ in range(4)] == [
+        Mode.SAFE, Mode.SAFE, Mode.STANDBY, Mode.POINT,
+    ]  # fmt: skip
+    modes.command(Mode.DETUMBLE)
+    assert (modes.mode, modes.reason) == (Mode.DETUMBLE, "commanded")
+    assert [modes.step(True, True, STILL, False) for _ in range(3)] == [Mode.DETUMBLE] * 3
+    modes.command(Mode.POINT)
+    assert modes.step(True, True, SPINNING, False) is Mode.DETUMBLE
+    assert modes.step(True, True, SLOW, False) is Mode.POINT
+
+
+def test_a_commanded_detumble_takes_the_way_over_standby_out_of_safe() -> None:
+    """Safe is left when the sensors have been good for a while, for the mode that was asked for."""
+    modes = ModeManager(ModesConfig(recover_after_ticks=2), TICK_S)
+    modes.command(Mode.SAFE)
+    modes.command(Mode.DETUMBLE)
+    assert [modes.step(True, True, STILL, False) for _ in range(3)] == [Mode.SAFE, Mode.STANDBY, Mode.DETUMBLE]
+
+
+def test_safe_is_stronger_than_a_command_and_reset_forgets_it() -> None:
+    """A commanded standby gives way to a request for safe mode, and is taken up again; boot is by the settings."""
+    modes = ModeManager(ModesConfig(recover_after_ticks=2), TICK_S)
+    modes.step(True, True, STILL, False)
+    modes.command(Mode.STANDBY)
+    assert modes.step(True, True, STILL, True) is Mode.SAFE
+    assert [modes.step(True, True, STILL, False) for _ in range(4)] == [
+        Mode.SAFE, Mode.STANDBY, Mode.STANDBY, Mode.STANDBY,
+    ]  # fmt: skip
+    modes.reset()
+    assert modes.intended is Mode.POINT
+    assert modes.step(True, True, STILL, False) is Mode.POINT
+
+
+def test_degraded_cannot_be_commanded_and_is_left_by_detumble() -> None:
+    """It has no verb; a commanded detumble leaves it."""
+    assert {verb: mode.name.lower() for verb, mode in MODE_VERBS.items()} == {
+        "mode.standby": "standby", "mode.detumble": "detumble", "mode.point": "point", "mode.safe": "safe",
+    }  # fmt: skip
+    modes = ModeManager(ModesConfig(), TICK_S)
+    modes.step(True, True, STILL, False)
+    assert modes.step(True, True, STILL, False, "two axes") is Mode.DEGRADED
+    modes.command(Mode.POINT)
+    assert modes.mode is Mode.DEGRADED
+    modes.command(Mode.DETUMBLE)
+    assert modes.mode is Mode.DETUMBLE
+
+
+def test_the_two_rates_can_be_changed() -> None:
+    """Detumble above 3 deg/s instead of 5, and back below 1 instead of 2."""
+    modes = ModeManager(ModesConfig(), TICK_S)
+    assert (modes.detumble_above_rad_s, modes.point_below_rad_s) == pytest.approx((5.0 * DEG, 2.0 * DEG))
+    modes.detumble_above_rad_s, modes.point_below_rad_s = 3.0 * DEG, 1.0 * DEG
+    assert (modes.detumble_above_rad_s, modes.point_below_rad_s) == pytest.approx((3.0 * DEG, 1.0 * DEG))
+    modes.step(True, True, STILL, False)
+    assert modes.step(True, True, (3.1 * DEG, 0.0, 0.0), False) is Mode.DETUMBLE
+    assert modes.step(True, True, SLOW, False) is Mode.DETUMBLE
+    assert modes.step(True, True, (0.9 * DEG, 0.0, 0.0), False) is Mode.POINT

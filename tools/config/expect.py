@@ -7,6 +7,11 @@ Signal
     time stamps; where topics of different rates meet, the slower one's stamps are used and the other's last value
     before or at each of them.
 
+After
+    Without it, times count from the start of the run. With `after: fault NAME` they count from the first effect of the fault
+    with that id, or of the first fault of that unit or kind to have one; with `after: event WORDS` from the first line of
+    /events that has these words in it. What did not happen is not executed, never passed.
+
 Window
     Samples with from_s <= t <= until_s, in simulated seconds; `until_s` left out: to the end of the run. A window
     without a sample fails. A sample that is not a number (NaN) fails.
@@ -46,9 +51,13 @@ class Judged:
     """What every expectation says: which signal, over which window, and where the figure comes from."""
 
     name: Annotated[str, Text(120)]  # the requirement, as the report shows it
+    id: Annotated[str, Text(40)] | None = None  # of a requirement that others refer to, such as ADCS-012
+    text: Annotated[str, Text(400)] = ""  # the requirement in full, as its document has it
+    severity: Literal["high", "medium", "low"] | None = None  # for reports; whatever it is, a fail is a fail
     signal: SignalText  # expression, see docs/scenarios.md
     from_s: Time = 0.0  # start of the window
     until_s: Duration | None = None  # end of the window; None: end of the run
+    after: Annotated[str, Text(200)] | None = None  # `fault NAME` or `event WORDS`: from when all times here count
     unit: Annotated[str, Text(40)] = ""  # of the signal and of what it is compared with, for the report
     source: Annotated[str, Text(400)] = ""  # where the figure comes from, as a paper is cited
 

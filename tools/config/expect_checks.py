@@ -32,6 +32,7 @@ def check_expectation(item: Mapping[str, Any], duration_s: float | None) -> list
     duration_s : of the run; None: not known
     """
     problems = list(check_signal(item["signal"])) if "signal" in item else []
+    problems += _check_after(item)
     if item.get("check") == "settles":
         problems += _check_settles(item)
     if item.get("check") == "within" and _sound(item, "lower", "upper") and item["lower"] > item["upper"]:
@@ -43,6 +44,12 @@ def check_expectation(item: Mapping[str, Any], duration_s: float | None) -> list
 
 def _sound(item: Mapping[str, Any], *keys: str) -> bool:
     return all(key in item for key in keys)
+
+
+def _check_after(item: Mapping[str, Any]) -> Found:
+    word, _, rest = (item.get("after") or "event x").partition(" ")
+    if word not in ("fault", "event") or not rest.strip():
+        yield "after", f"{item['after']!r} is neither `fault NAME` (id, unit or kind) nor `event WORDS`"
 
 
 def _check_settles(item: Mapping[str, Any]) -> Found:

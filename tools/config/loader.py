@@ -12,6 +12,7 @@ from bus.settings import Problem, Reading, join_key
 from tools.config.findings import Finding, Source
 from tools.config.merge import Merger, apply_overrides
 from tools.config.rehearsal import rehearse
+from tools.config.requirements import expand_requirements
 from tools.config.scenario import Resolved, Scenario
 from tools.config.semantics import check_semantics
 from tools.config.yaml_nodes import Node
@@ -72,6 +73,7 @@ def _examine(
     if root is None:
         return _refuse(name, merger, merger.findings)
     root = apply_overrides(merger, root, overrides)
+    expand_requirements(merger, root)
     reading = Reading(Scenario, root.plain())
     problems = [*reading.problems, *check_semantics(reading, opens=build)]
     if build and not problems and not merger.findings:

@@ -30,7 +30,7 @@ class Merger:
     """
 
     def __init__(self, *, files: bool = True) -> None:
-        self._files = files
+        self.files = files
         self.findings: list[Finding] = []
         self.sources: list[Source] = []
 
@@ -73,7 +73,7 @@ class Merger:
         if word := explain_text(parent.value, PATH):
             self.add(parent.place, "extends", f"{describe(parent.value)} {word}")
             return None
-        if not self._files:
+        if not self.files:
             self.add(parent.place, "extends", "is not read here: a log carries its resolved scenario, whole")
             return None
         base = self.read_file(_find_parent(source.name, parent.value), parent.place, chain)

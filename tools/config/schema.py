@@ -33,6 +33,11 @@ def make_schema() -> dict[str, Any]:
     """JSON schema (draft 2020-12) of a scenario file."""
     definitions: dict[str, Any] = {}
     top = _describe_class(Scenario, definitions)
+    top["properties"]["requirements"] = {
+        "type": "array",
+        "items": {"type": "string"},
+        "description": "requirement files taken in by name: requirements/NAME.yaml beside this file, or shipped with hilsat",
+    }
     top["properties"]["extends"] = {
         "type": "string",
         "description": "scenario that this one changes, relative to this file: mappings merge, lists replace",

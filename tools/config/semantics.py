@@ -16,6 +16,7 @@ from bus.errors import BusLoadError
 from bus.icd.load import check_load
 from bus.settings import NOTHING, KeyPath, Problem, Reading, fields_of, strip_annotations
 from bus.units import DEG
+from bus.words import nearest
 from plant_server.config import PlantConfig
 from plant_server.faults import explain_times, fault_ids
 from plant_server.validation import explain_inertia, validate
@@ -194,6 +195,8 @@ def check_expectations(parts: dict[KeyPath, Any]) -> Problems:
     for index, item in items.items():
         for key, word in check_expectation(item, duration_s):
             yield Problem(("expect", index, key), word)
+        if word := _explain_after(parts, item.get("after")):
+            yield Problem(("expect", index, "after"), word)
         if "name" not in item:
             continue
         if item["name"] in seen:
@@ -201,6 +204,23 @@ def check_expectations(parts: dict[KeyPath, Any]) -> Problems:
                 ("expect", index, "name"), f'"{item["name"]}" is the name of expect[{seen[item["name"]]}] too'
             )
         seen[item["name"]] = index
+
+
+def _explain_after(parts: dict[KeyPath, Any], after: str | None) -> str:
+    """Why an expectation waits for a fault that will not come; empty when it may, also by command."""
+    word, _, name = (after or "").partition(" ")
+    if word != "fault" or parts.get(("inject",), "off") != "off":
+        return ""
+    known = {f"faults[{index}]" for index in range(_length(parts, "faults"))}
+    known |= {
+        value for path, value in parts.items()
+        if len(path) == 3 and path[0] == "faults" and path[2] in ("id", "unit", "kind") and isinstance(value, str)
+    }  # fmt: skip
+    if name.strip() in known:
+        return ""
+    near = nearest(name.strip(), known)
+    hint = f"did you mean {near}? " if near else ""
+    return f"the scenario has no fault {name.strip()}; {hint}there are: {', '.join(sorted(known)) or 'none'}"
 
 
 def check_bus_load(parts: dict[KeyPath, Any]) -> Problems:

@@ -23,10 +23,11 @@ def list_signals() -> dict[str, dict[str, int]]:
     """Fields of every topic that all runs log, each with how many numbers it has; and of the wire's, where there is one."""
     from fsw.telemetry import CONTROL_TOPICS, LINK_HEALTH, TICK_TOPICS
     from plant_server.can_bus.counts import BUS
+    from plant_server.plant_log import COUNTERS
     from plant_server.truth import TRUTH_FIELDS
 
     signals = {f"truth.{group}": {row[0]: row[1] for row in fields} for group, fields in TRUTH_FIELDS.items()}
-    for topic in (*TICK_TOPICS, *CONTROL_TOPICS, LINK_HEALTH, BUS):
+    for topic in (*TICK_TOPICS, *CONTROL_TOPICS, LINK_HEALTH, COUNTERS, BUS):
         signals[topic.name.strip("/").replace("/", ".")] = {field.name: field.count for field in topic.fields}
     return signals
 

@@ -39,6 +39,7 @@ faults:
   - {unit: wheel.2, kind: friction_coulomb, at_s: 60, rise_s: 60}
   - {unit: wheel.3, kind: jump, at_s: 10, rate_per_h: 120}
   - {unit: wheel.4, kind: runaway, at_s: 200, until_s: 260, latch: until_power_cycle}
+  - {unit: bus, kind: loss, probability: 0.05, node: wheel.1, at_s: 30}
 ```
 
 Torques are those on the body about the wheel's axis, as everywhere in this project; friction and seizure oppose the

@@ -13,7 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from bus.errors import RecordError
+from tools.config.expect import Expectation
 from tools.config.loader import load_text
+from tools.config.requirements import load_requirements
 from tools.config.scenario import Resolved
 from tools.grading.bus import judge_senders
 from tools.grading.expressions import name_signals
@@ -60,10 +62,16 @@ class Grade:
         }
 
 
-def grade_file(path: Path) -> Grade:
-    """The grade of a log file. Raises RecordError when it is not a log of ours, ConfigError for its scenario."""
+def grade_file(path: Path, requirements: Sequence[Path] = ()) -> Grade:
+    """The grade of a log file against its scenario, and against more requirements from files.
+
+    Raises RecordError when it is not a log of ours, ConfigError for its scenario and for the files.
+    """
     run = read_run(path)
-    return grade_run(run, scenario_of(run, path))
+    resolved = scenario_of(run, path)
+    scenario = resolved.scenario
+    more = [item for file in requirements for item in load_requirements(file, scenario.name, scenario.duration_s)]
+    return grade_run(run, resolved, more)
 
 
 def scenario_of(run: Run, path: Path, overrides: Sequence[str] = ()) -> Resolved:
@@ -96,17 +104,20 @@ def make_timetable(resolved: Resolved) -> Timetable:
     )
 
 
-def grade_run(run: Run, resolved: Resolved) -> Grade:
-    """The grade of an opened log."""
+def grade_run(run: Run, resolved: Resolved, more: Sequence[Expectation] = ()) -> Grade:
+    """The grade of an opened log. more: what is required beside what its scenario expects."""
     scenario = resolved.scenario
+    expect = [*scenario.expect, *more]
     timetable = make_timetable(resolved)
-    _prefetch(run, [item.signal for item in scenario.expect])
+    _prefetch(run, [item.signal for item in expect])
     faults = run.faults  # read before the damage is counted
     completeness = check_completeness(run, timetable)
-    verdicts = [judge(run, item, completeness, timetable) for item in scenario.expect]
+    verdicts = [judge(run, item, completeness, timetable) for item in expect]
     verdicts += judge_faults(faults, scenario.faults, completeness, timetable)
-    verdicts += [judge_senders(run), _judge_completeness(completeness)]
-    required = len(scenario.expect) + len(scenario.faults)
+    if not any(fault.effect.brings_rivals for fault in scenario.faults):
+        verdicts.append(judge_senders(run))
+    verdicts.append(_judge_completeness(completeness))
+    required = len(expect) + len(scenario.faults)
     return Grade(scenario.name, tuple(verdicts), _complete(run, timetable), required)
 
 
@@ -151,7 +162,7 @@ def format_grade(grade: Grade) -> str:
         margin = "" if verdict.margin is None else f"margin {verdict.margin:+.3g} {verdict.unit}"
         tail = f"  ({verdict.detail})" if verdict.detail and not verdict.passed else ""
         word = f"{WORDS[verdict.outcome]:<{width}}"
-        rows.append(f"  {word}  {verdict.name:<44} {value:>10}   {verdict.bound:<44} {margin}{tail}")
+        rows.append(f"  {word}  {verdict.title:<44} {value:>10}   {verdict.bound:<44} {margin}{tail}")
     if not grade.complete:
         rows.append("  FAIL  the run did not go to its end")
     count = sum(verdict.passed for verdict in grade.verdicts)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from typing import Any
 
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from bus.errors import ConfigError
 from tools.config.expect import Above, Below, Equals, Expectation, Holding, RmsBelow, RmsEquals, Settles, Within
 from tools.grading.expressions import evaluate, name_signals
+from tools.grading.moments import find_moment
 from tools.grading.verdict import Verdict, decide
 from tools.log.completeness import Completeness, Timetable
 from tools.log.mcap_reader import Run
@@ -22,6 +24,14 @@ FEWEST = 2  # samples from which something can be said to settle or to hold
 def judge(
     run: Run, item: Expectation, completeness: Completeness | None = None, timetable: Timetable | None = None
 ) -> Verdict:
+    """The verdict on one expectation, under its id where it has one: see `_judge`."""
+    verdict = _judge(run, item, completeness, timetable)
+    if item.id is None and item.severity is None and not item.text:
+        return verdict
+    return dataclasses.replace(verdict, id=item.id or "", severity=item.severity or "", text=item.text)
+
+
+def _judge(run: Run, item: Expectation, completeness: Completeness | None, timetable: Timetable | None) -> Verdict:
     """The verdict on one expectation.
 
     completeness, timetable : what the log lacks, and of which ticks; an expectation that needs a missing tick is not
@@ -32,15 +42,19 @@ def judge(
         series = evaluate(run, item.signal)
     except ConfigError as error:
         return _unexecuted(item, str(error))
+    start_s, unseen = find_moment(run, item.after)
+    if unseen:
+        return _unexecuted(item, unseen)
     notes = ""
     if completeness is not None and timetable is not None:
-        missing, notes = _list_missing(item, completeness, timetable)
+        missing, notes = _list_missing(item, start_s, completeness, timetable)
         if missing:
             return _unexecuted(item, missing)
     assert series.t_s is not None
     until_s = math.inf if item.until_s is None else item.until_s
-    inside = (series.t_s >= item.from_s - 1e-9) & (series.t_s <= until_s + 1e-9)
-    t_s, values = series.t_s[inside], series.values[inside]
+    since_s = series.t_s if item.after is None else series.t_s - start_s
+    inside = (since_s >= item.from_s - 1e-9) & (since_s <= until_s + 1e-9)
+    t_s, values = since_s[inside], series.values[inside]
     if not t_s.size:
         return _unexecuted(item, f"no sample between {item.from_s:g} s and {until_s:g} s")
     if not np.all(np.isfinite(values)):
@@ -54,20 +68,26 @@ def judge(
             verdict = _judge_rms(item, values)
         else:
             verdict = _judge_holding(item, t_s, values)
-    return _add_note(verdict, notes)
+    return _add_note(verdict, "; ".join(word for word in (notes, _say_after(item, start_s)) if word))
+
+
+def _say_after(item: Expectation, start_s: float) -> str:
+    return "" if item.after is None else f"times from {item.after}, {start_s:g} s"
 
 
 def _is_hold(item: Expectation) -> bool:
     return isinstance(item, Below | Above | Within | Equals) and (item.by_s is not None or item.for_s is not None)
 
 
-def _list_missing(item: Expectation, completeness: Completeness, timetable: Timetable) -> tuple[str, str]:
+def _list_missing(
+    item: Expectation, start_s: float, completeness: Completeness, timetable: Timetable
+) -> tuple[str, str]:
     """Which ticks that its window needs are missing, and which of them were not run, each in words or empty."""
     topics = {topic for topic, _ in name_signals(item.signal)}
-    first = math.ceil(item.from_s * timetable.tick_hz - 1e-6)
+    first = math.ceil((start_s + item.from_s) * timetable.tick_hz - 1e-6)
     last = timetable.ticks - 1
     if item.until_s is not None:
-        last = min(last, math.floor(item.until_s * timetable.tick_hz + 1e-6))
+        last = min(last, math.floor((start_s + item.until_s) * timetable.tick_hz + 1e-6))
     near = [
         gap for gap in completeness.gaps  # the value before the window counts too: for rates, and for slower topics
         if gap.topic in topics and gap.last >= first - gap.step and gap.first <= last
@@ -83,17 +103,7 @@ def _list_missing(item: Expectation, completeness: Completeness, timetable: Time
 def _add_note(verdict: Verdict, note: str) -> Verdict:
     if not note:
         return verdict
-    detail = f"{verdict.detail}; {note}" if verdict.detail else note
-    return Verdict(
-        verdict.name,
-        verdict.outcome,
-        verdict.value,
-        verdict.bound,
-        verdict.margin,
-        verdict.unit,
-        detail,
-        verdict.source,
-    )
+    return dataclasses.replace(verdict, detail=f"{verdict.detail}; {note}" if verdict.detail else note)
 
 
 def _unexecuted(item: Expectation, detail: str) -> Verdict:

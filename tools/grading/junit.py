@@ -37,7 +37,7 @@ def make_junit(grades: Iterable[tuple[Path, Grade]]) -> bytes:
 
 
 def _make_case(grade: Grade, verdict: Verdict) -> TestCase:
-    case = TestCase(_clean(verdict.name), _clean(grade.scenario), 0.0)
+    case = TestCase(_clean(verdict.title), _clean(grade.scenario), 0.0)
     value = "nothing" if verdict.value is None else f"{verdict.value:.6g}"
     margin = "" if verdict.margin is None else f", margin {verdict.margin:+.3g} {verdict.unit}"
     words = _clean(f"{value}, must be {verdict.bound}{margin}" + (f" ({verdict.detail})" if verdict.detail else ""))

@@ -21,6 +21,14 @@ class Verdict:
     unit: str
     detail: str = ""
     source: str = ""
+    id: str = ""  # of the requirement
+    severity: str = ""
+    text: str = ""  # the requirement in full
+
+    @property
+    def title(self) -> str:
+        """Name of the requirement behind its id."""
+        return f"{self.id} {self.name}" if self.id else self.name
 
     @property
     def passed(self) -> bool:
@@ -39,6 +47,9 @@ class Verdict:
             "unit": self.unit,
             "detail": self.detail,
             "source": self.source,
+            "id": self.id,
+            "severity": self.severity,
+            "text": self.text,
         }
 
 

@@ -55,10 +55,13 @@ class PlantClient:
 
         timeout_s  : until the first reply
         patience_s : from one to the next; None: as long as the bench runs
-        Raises Refused when it is refused, BenchGone when there is no answer.
+        Raises Refused when it is refused, BenchGone when there is no answer, UsageError for what cannot be sent.
         """
         token = secrets.randbelow(2**32 - 1) + 1
-        messages = cut_request(what, token, SYSTEM_ID, PLANT_COMPONENT)
+        try:
+            messages = cut_request(what, token, SYSTEM_ID, PLANT_COMPONENT)
+        except ValueError as error:  # a number that is not finite, or too much of it
+            raise UsageError(f"this cannot be sent: {error}") from None
         for reply in self._receive_in_order(messages, token, timeout_s, patience_s):
             if reply.get("state") == "refused":
                 raise Refused([str(reason) for reason in reply.get("reasons", ())])

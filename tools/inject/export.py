@@ -66,11 +66,11 @@ def export_faults(path: Path) -> ExportedFaults:
     return result
 
 
-def format_export(exported: ExportedFaults, log: Path) -> str:
-    """Return the list as YAML, for a scenario file."""
-    head = f"# The faults of {log}, as they acted. In a scenario file, with `extends:`, they replace its own list.\n"
+def format_export(exported: ExportedFaults, log: Path, extends: str | None = None) -> str:
+    """Return the list as YAML, for a scenario file. extends : the scenario that it belongs to; None: it is left open"""
+    head = f"# The faults of {str(log)!a}, as they acted. In a scenario file with `extends:` they replace its list.\n"
     said = "".join(f"# not exactly: {problem}\n" for problem in exported.inexact)
-    return head + said + write_yaml({"faults": exported.faults})
+    return head + said + write_yaml(({} if extends is None else {"extends": extends}) | {"faults": exported.faults})
 
 
 @dataclass(frozen=True, slots=True)

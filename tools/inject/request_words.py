@@ -6,12 +6,10 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 from bus.errors import ConfigError, UsageError
-from tools.config.findings import Place, Source
-from tools.config.yaml_nodes import read_value
 
 ACTIONS: Final = ("set", "list", "catalogue", "status", "clear", "export", "completion")
 WITH_VALUE: Final = (
-    "--at-tick", "--at", "--for", "--until", "--id", "--profile", "--timeout", "--run", "-o", "--output",
+    "--at-tick", "--at", "--for", "--until", "--id", "--profile", "--timeout", "--run", "-o", "--output", "--extends",
 )  # fmt: skip
 
 
@@ -39,6 +37,9 @@ def read_keys(settings: Sequence[str], named: dict[str, Any]) -> dict[str, Any]:
 
     Raises UsageError with everything that is wrong.
     """
+    from tools.config.findings import Place, Source
+    from tools.config.yaml_nodes import read_value
+
     keys: dict[str, Any] = {key: value for key, value in named.items() if value is not None}
     problems: list[str] = []
     for setting in settings:

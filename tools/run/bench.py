@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import importlib
 import os
 import weakref
 from collections.abc import Callable, Sequence
@@ -28,7 +27,8 @@ from bus.attitude import angle_between
 from bus.build import CURRENT
 from bus.clock import SystemClock
 from bus.commands import Command
-from bus.errors import ConfigError, RecordError, UsageError
+from bus.errors import ConfigError, HilsatError, RecordError, UsageError
+from bus.run import GroundConfig
 from bus.settings import build
 from bus.telemetry.link import Link, TelemetryLink
 from bus.units import DEG
@@ -49,7 +49,7 @@ from tools.log.mcap_reader import Run, read_run
 from tools.log.recorder import Recorder
 from tools.run.bench_signals import read_signal
 from tools.run.provenance import describe_run, list_attachments
-from tools.run.run_file import describe_bench, ground_of, write_run_file
+from tools.run.run_file import RUN_FILE, describe_bench, write_run_file
 
 ORIGIN = "bench"
 
@@ -93,6 +93,7 @@ class Bench:
         self.plant_node = PlantNode(plant, self._links[0], self.tick_ns, resolved.run_hash, bus=bus)
         timeline = [make_command(entry, tick_s) for entry in scenario.fsw.timeline]
         self.fsw_node = FswNode(self.flight, self._links[1], self.tick_ns, SystemClock(), timeline)
+        self._ground_dir = ground_dir
         self._grounds = self._open_grounds(ground_dir, log)
         self._answer = b""
         self._closed = False
@@ -212,6 +213,8 @@ class Bench:
         """Finish the log, and close the sockets. Harmless when repeated, and for a bench without them."""
         for ground in self._grounds:
             ground.close()
+        if self._ground_dir is not None:
+            (self._ground_dir / RUN_FILE).unlink(missing_ok=True)
         for link in self._links:
             with contextlib.suppress(RecordError):
                 link.close(reason)
@@ -235,14 +238,20 @@ class Bench:
             return []
         out = log.parent if isinstance(log, Path) else None
         bench = describe_bench(self.resolved, directory.absolute(), address="in process", out=out, linked=True)
-        grounds = []
-        for room, node, socket in (
-            ("plant_server.ground", self.plant_node, bench.plant),
-            ("fsw.ground", self.fsw_node, bench.fsw),
-        ):
-            open_ground = importlib.import_module(room).open_ground
-            grounds.append(open_ground(node, ground_of(bench, socket), SystemClock()))
-        write_run_file(directory, bench)
+        # A bench without sockets is not to wait for the dialect.
+        from fsw.ground import open_ground as open_fsw
+        from plant_server.ground import open_ground as open_plant
+
+        allowed, clock, name = bench.inject == "allowed", SystemClock(), self.resolved.scenario.name
+        plant_ground = GroundConfig(socket=bench.plant or "", inject=allowed)
+        grounds: list[Any] = [open_plant(self.plant_node, plant_ground, clock, name=name, ticks=self.ticks)]
+        try:
+            grounds.append(open_fsw(self.fsw_node, GroundConfig(socket=bench.fsw or "", inject=allowed), clock))
+            write_run_file(directory, bench)
+        except HilsatError:
+            for ground in grounds:
+                ground.close()
+            raise
         return grounds
 
     def __enter__(self) -> Self:

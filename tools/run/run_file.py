@@ -7,11 +7,13 @@ import os
 from dataclasses import asdict, dataclass, fields
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from bus.errors import RecordError
 from bus.run import GroundConfig
-from tools.config.scenario import Resolved
+
+if TYPE_CHECKING:  # who looks for a bench need not wait for all that a scenario can be made of
+    from tools.config.scenario import Resolved
 
 RUN_FILE: Final = "run.json"
 PREFIX: Final = "hilsat-"  # of private directories

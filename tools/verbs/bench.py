@@ -234,6 +234,12 @@ def _measure_bus(seconds: float) -> dict[str, Any]:
     return measure_all()
 
 
+def _measure_ground(seconds: float) -> dict[str, Any]:
+    from tools.measure.ground import measure_ground
+
+    return measure_ground(seconds)
+
+
 def _measure_basilisk(seconds: float) -> dict[str, Any]:
     from tools.measure.basilisk import compare
 
@@ -254,7 +260,8 @@ MEASUREMENTS: dict[str, Callable[[float], dict[str, Any]]] = {
     "algorithms": _measure_algorithms,
     "wheels": _measure_wheels,
     "bus": _measure_bus,
+    "ground": _measure_ground,
     "basilisk": _measure_basilisk,
     "instructions": _measure_instructions,
 }
-SLOW = ("instructions",)  # minutes: only when asked for
+SLOW = ("ground", "instructions")  # minutes: only when asked for

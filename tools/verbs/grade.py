@@ -20,6 +20,10 @@ def add_parser(subparsers: Any) -> None:
     """Add the verb to the command line."""
     parser = subparsers.add_parser("grade", help="grade logs", description=__doc__)
     parser.add_argument("logs", type=Path, nargs="+", metavar="LOG", help="MCAP file of a run")
+    parser.add_argument(
+        "-r", "--requirements", type=Path, action="append", default=[], metavar="FILE",
+        help="requirements beside those of the scenario: a YAML file, see docs/grading.md; repeatable",
+    )  # fmt: skip
     parser.add_argument("--json", action="store_true", help="print one JSON object a log on stdout")
     parser.add_argument(
         "--junit", type=Path, metavar="FILE", help="write the verdicts as JUnit XML too, for a CI system"
@@ -34,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
     code = 0
     for log in args.logs:
         try:
-            grade = grade_file(log)
+            grade = grade_file(log, args.requirements)
         except HilsatError as error:
             if len(args.logs) == 1:
                 raise

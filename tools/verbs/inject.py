@@ -52,7 +52,8 @@ def add_parser(subparsers: Any) -> None:
     )
     actions = parser.add_subparsers(metavar="ACTION", required=True)
     made = {
-        name: actions.add_parser(name, help=TITLES[name], description=_capitalise(TITLES[name])) for name in ACTIONS
+        name: actions.add_parser(name, help=TITLES[name], description=_capitalise(TITLES[name]), allow_abbrev=False)
+        for name in ACTIONS
     }
     _add_set(made["set"])
     made["catalogue"].add_argument("unit", nargs="?", metavar="UNIT", help="wheel.1, gyro.x, star_tracker, ...")
@@ -62,6 +63,7 @@ def add_parser(subparsers: Any) -> None:
     made["clear"].add_argument("--all", action="store_true", help="every fault")
     made["export"].add_argument("log", type=Path, metavar="LOG", help="MCAP file of a run")
     made["export"].add_argument("-o", "--output", type=Path, metavar="FILE", help="where to write it (default: stdout)")
+    made["export"].add_argument("--extends", metavar="SCENARIO", help="make it a scenario that changes this one")
     made["export"].add_argument("--force", action="store_true", help="replace a file of that name")
     made["completion"].add_argument("shell", choices=["bash"])
     for name in ("set", "list", "catalogue", "status", "clear"):
@@ -191,7 +193,7 @@ def _format_status(reply: dict[str, Any]) -> str:
 
 
 def _clear(args: argparse.Namespace) -> int:
-    from plant_server.faults import UNITS
+    from plant_server.faults.units import UNITS
 
     if args.all == (args.what is not None):
         raise UsageError("clear takes the id of a fault or a unit, or --all; see hilsat inject list")
@@ -210,10 +212,13 @@ def _format_cleared(reply: dict[str, Any]) -> str:
 
 def _catalogue(args: argparse.Namespace) -> int:
     """What the running plant takes; what any plant takes where none runs."""
-    from tools.inject.catalogue import format_kinds, list_kinds
+    from plant_server.ground.catalogue import list_kinds
+    from tools.inject.catalogue import format_kinds
 
     if args.run is None and not any(bench.about.plant for bench in list_benches()):
-        kinds = list_kinds(args.unit)
+        kinds = list_kinds(None, args.unit)
+        if isinstance(kinds, str):
+            raise UsageError(kinds)
         print("hilsat inject: no bench runs; this is what any plant may take", file=sys.stderr)
         reply: dict[str, Any] = {"state": "done", "kinds": kinds}
     else:
@@ -226,7 +231,7 @@ def _export(args: argparse.Namespace) -> int:
     from tools.log.outputs import create
 
     exported = export_faults(args.log)
-    text = format_export(exported, args.log)
+    text = format_export(exported, args.log, args.extends)
     if args.output is None:
         print(text, end="")
     else:

@@ -45,6 +45,7 @@ class Loss(BusEffect):
 class Delay(BusEffect):
     """frames arrive `delay_s` late; on time where that is at most half a tick"""
 
+    delays = True
     equation = "frames"
     seen_in = "a gateway with a queue, a driver with a slow task"
     failures = ((109, 6),)
@@ -67,6 +68,7 @@ class Delay(BusEffect):
 class Jitter(BusEffect):
     """frames arrive late by chance, up to `jitter_s`; those of one id stay in their order"""
 
+    delays = True
     draws_each = 1
     equation = "frames"
     seen_in = "a busy gateway, an operating system that lets its driver wait"
@@ -109,6 +111,7 @@ class Duplicate(BusEffect):
 class Reorder(BusEffect):
     """with `probability` per frame, it arrives behind the next one of its id"""
 
+    brings_rivals = True
     draws_each = 1
     equation = "frames"
     seen_in = "a controller with several transmit buffers, a gateway with two paths"
@@ -265,6 +268,7 @@ class Babble(BusEffect):
 class Masquerade(BusEffect):
     """once a tick a node sends a frame of another node's `can_id`, with right checksum and a counter of its own"""
 
+    brings_rivals = True
     rises = False
     switches = True
     sends_only = True
