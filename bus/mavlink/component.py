@@ -400,7 +400,7 @@ class Component:
 
     def _set_parameter(self, message: Message, address: str) -> None:
         """Set one and echo what is stored; a refused value is answered by PARAM_ERROR, said why, and the stored one."""
-        name, value = text_of(message.param_id), message.param_value
+        name, value = text_of(message.param_id), float(f"{message.param_value:.7g}")  # 0.99 came as 0.99000001
         index = self.parameters.find(name)
         if index is None:
             self._refuse_parameter(message, name, -1, words.PARAM_DOES_NOT_EXIST, address)

@@ -34,7 +34,7 @@ class FailureCommand:
 
     def _make_parameter(self, setting: Setting) -> Parameter:
         def write(value: float) -> str:
-            self._values[setting.name] = float(f"{value:.7g}")  # what a float carries, in its shortest words
+            self._values[setting.name] = value
             return ""
 
         text = f"{setting.text} [{setting.unit}]"

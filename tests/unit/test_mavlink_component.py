@@ -70,7 +70,7 @@ class Rig:
         self.asked: list[Asked] = []
         self.value = 0.25
         items = [Parameter(f"P_{i}", lambda i=i: float(i), None) for i in range(40)]
-        items.append(Parameter("P_SET", lambda: self.value, self._write, -1.0, 1.0))
+        items.append(Parameter("P_SET", lambda: self.value, self._write, -1.0, 0.99))
         traffic = Traffic(commands={400: self._arm}, messages={2: self._time}, rates_hz={2: 10.0})
         self.endpoint = Endpoint(directory / "c.sock", *ME)
         self.component = Component(
@@ -339,7 +339,7 @@ def test_odd_numbers_in_any_parameter_never_raise(rig: Rig) -> None:
             for m in rig.call(common.MAVLink_param_set_message(*ME, b"P_SET", odd, 9))
             if m.get_type() == "PARAM_VALUE"
         ]
-        assert -1.0 <= echo.param_value <= 1.0
+        assert -1.0 <= echo.param_value <= 0.9901
 
 
 @pytest.mark.parametrize("interval_us", [-1, 0, FASTEST_US, 1e6, FASTEST_US - 1, 1e11, NAN, math.inf, 2.5e4])
@@ -380,6 +380,9 @@ def test_setting_a_parameter_echoes_what_is_stored(rig: Rig) -> None:
     """A value in range; one out of range, one that is refused and one that can only be read say so and echo the old one."""
     (echo,) = rig.call(common.MAVLink_param_set_message(*ME, b"P_SET", -0.75, 9))
     assert (echo.get_type(), echo.param_value, rig.value) == ("PARAM_VALUE", -0.75, -0.75)
+    rig.call(common.MAVLink_param_set_message(*ME, b"P_SET", 0.99, 9))  # the end of the range, as a float has it
+    assert rig.value == 0.99
+    rig.call(common.MAVLink_param_set_message(*ME, b"P_SET", -0.75, 9))
     for name, value, error, stored in (
         (b"P_SET", 2.0, 2, -0.75),
         (b"P_SET", 0.5, 3, -0.75),

@@ -30,6 +30,7 @@ from plant_server.ground.failures import (
     TYPE_NAMES,
     UNIT_NAMES,
 )
+from tools.design.mavlink_faults import PAGE, format_page
 from tools.run.bench import Bench
 
 BARE = ["duration_s=20", "faults=[]", "expect=[]"]
@@ -335,3 +336,11 @@ def test_a_magnitude_that_changes_nothing_is_refused_with_the_reason() -> None:
         assert said.startswith("420: 101 SYSTEM_MOTOR, 8 DRIFT: kind: a bias of 0 N m has no effect")
         assert end.list_faults() == []
         assert end.set_parameter("FLT_WRONG", 1.0) == pytest.approx(0.6)
+
+
+# -- page ----------------------------------------------------------------------------------------------------------
+
+
+def test_the_page_is_up_to_date() -> None:
+    """docs/mavlink-faults.md is what `python -P -m tools.design.mavlink_faults` writes."""
+    assert PAGE.read_text(encoding="utf-8") == format_page()

@@ -17,7 +17,8 @@ from tools.design.fault_pictures import PICTURES, SHOWN_FROM_S, SHOWN_TO_S, draw
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "faults.md"
 FAILURE_UNITS = {
-    0: "SENSOR_GYRO", 6: "SENSOR_VIO (the star tracker)", 101: "SYSTEM_MOTOR", 106: "SYSTEM_ESC", 109: "BUS_CAN",
+    0: "SENSOR_GYRO", 6: "SENSOR_VIO (the star tracker)", 101: "SYSTEM_MOTOR", 106: "SYSTEM_ESC",
+    109: "SYSTEM_BUS_CAN",
 }  # fmt: skip
 FAILURE_TYPES = {
     1: "OFF", 2: "STUCK", 3: "GARBAGE", 4: "WRONG", 5: "SLOW", 6: "DELAYED", 7: "INTERMITTENT", 8: "DRIFT",
@@ -149,8 +150,8 @@ def _format_overview() -> list[str]:
         lines.append(f"| {family} | {link} | {_mask(cls.equation)} | {_format_failures(cls, short=True)} |")
     lines += [
         "",
-        "MAVLink failures are `MAV_CMD_INJECT_FAILURE` (420), unit and type by number. That command has no magnitude, so",
-        "kinds stand in for it with their defaults; kinds without a number are reached by name alone.",
+        "MAVLink failures are `MAV_CMD_INJECT_FAILURE` (420), unit and type by number; [its page](mavlink-faults.md) has",
+        "the magnitudes, which that command cannot say. Kinds without a number are reached by name alone.",
     ]
     return lines
 
