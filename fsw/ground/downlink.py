@@ -34,6 +34,7 @@ RATES_HZ: Final = {
 # MAV_SYS_STATUS_SENSOR
 GYRO, STAR_TRACKER, RATE_CONTROL, STABILISATION, MOTORS = 1, 128, 1024, 2048, 32768
 PRESENT: Final = GYRO | STAR_TRACKER | RATE_CONTROL | STABILISATION | MOTORS
+GEOFENCE: Final = 1 << 20  # there is none; MAVProxy calls one that is not well a breach
 NOT_SELECTABLE: Final = 2  # MAV_MODE_PROPERTY
 NO_THRUST: Final = 64  # ATTITUDE_TARGET_TYPEMASK: thrust means nothing here
 UNKNOWN_MV, UNKNOWN_CA, UNKNOWN_PERCENT = 0xFFFF, -1, -1
@@ -111,7 +112,8 @@ class Downlink:
         damps = detection.rate_good and mode is not Mode.STANDBY
         points = mode is Mode.POINT or mode is Mode.DEGRADED
         enabled = GYRO | STAR_TRACKER | (RATE_CONTROL | MOTORS if damps else 0) | (STABILISATION if points else 0)
-        well = GYRO if max(detection.gyro_state) < 2 and all(sensors.gyro_valid) else 0
+        well = GEOFENCE
+        well |= GYRO if max(detection.gyro_state) < 2 and all(sensors.gyro_valid) else 0
         well |= STAR_TRACKER if sensors.star_valid else 0
         well |= RATE_CONTROL if detection.rate_good else 0
         well |= STABILISATION if detection.estimate.valid and flight.out_of_reach == "" else 0

@@ -113,15 +113,14 @@ class Uplink:
             self._enter(message.custom_mode)
 
     def _arm(self, request: CommandRequest) -> int:
-        """MAV_CMD_COMPONENT_ARM_DISARM: standby is disarmed; who arms points, unless the wheels are in use already."""
+        """MAV_CMD_COMPONENT_ARM_DISARM: to disarm is to command standby, to arm to command pointing, out of that standby."""
         wanted = request.whole(1, -1)
         if wanted not in (0, 1):
             self._complain("ARM_DISARM refused: param1 is 1 or 0")
             return words.DENIED
         if wanted == 0:
             return self._enter(Mode.STANDBY)
-        modes = self._node.flight.modes
-        if modes.mode is not Mode.STANDBY and modes.intended is not Mode.STANDBY:
+        if self._node.flight.modes.intended is not Mode.STANDBY:
             return words.ACCEPTED
         return self._enter(Mode.POINT)
 
