@@ -231,7 +231,8 @@ def test_nothing_asked_is_nothing_passed(tmp_path: Path) -> None:
     grade = grade_file(path)
     assert grade.outcome == "not executed"
     assert "nothing was graded" in format_grade(grade)
-    assert grade_verb.run(type("Words", (), {"log": path, "json": False})()) == 1
+    words = {"logs": [path], "json": False, "requirements": [], "junit": None}
+    assert grade_verb.run(type("Words", (), words)()) == 1
 
 
 # -- faults --------------------------------------------------------------------------------------------------------
