@@ -199,7 +199,7 @@ class TestSameBytes:
         assert one.digest() == two.digest()
 
     def test_a_controller_that_goes_off(self, tmp_path: Path) -> None:
-        """Error frames go through the kernel as over the hub: the same bytes, and the flight software counts them."""
+        """Error frames go through the kernel as they go over the hub: the same bytes, and they are counted."""
         fault = "faults=[{unit: bus, kind: bus_off, node: fsw, at_s: 2, until_s: 4}]"
         words = ["--set", "duration_s=6", "--set", "expect=[]", "--set", fault, "--no-plot", "--json", "-q"]
         one = fly(tmp_path / "vcan", "zhang2018-flight", "socketcan:vcan0", *words).run

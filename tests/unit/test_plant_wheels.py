@@ -150,6 +150,18 @@ def test_a_wheel_without_command_gives_no_torque_and_says_so():
     np.testing.assert_array_equal(plant.truth().tau_rw_true_nm, (0.05, 0.0, 0.05, 0.0))
 
 
+def test_a_command_of_no_torque_is_told_from_none():
+    """A wheel whose command is lost reports it although its torque was 0 before and is now; and takes it back."""
+    plant = make_plant()
+    for commands, status in (
+        ((0.0,) * 4, (0, 0, 0, 0)),
+        ((0.0, None, 0.0, 0.0), (0, 2, 0, 0)),
+        ((0.0,) * 4, (0, 0, 0, 0)),
+    ):
+        plant.step(commands)
+        assert plant.sample().wheel_status == status
+
+
 def test_tachometer_noise_has_its_sigma_and_a_stream_per_wheel():
     """Mean 0 and sigma within 5 standard errors, uncorrelated between wheels."""
     plant = make_plant(speed_noise_rad_s=0.2)
