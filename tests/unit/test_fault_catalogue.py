@@ -324,7 +324,7 @@ def test_examples_on_the_page_are_faults():
     text = PAGE.read_text(encoding="utf-8")
     block = text.split("```yaml\n")[1].split("```")[0]
     faults = [build(Fault, item, "page") for item in yaml.safe_load(block)["faults"]]
-    assert [fault.kind for fault in faults] == ["gain_kt", "friction_coulomb", "jump", "runaway"]
+    assert [fault.kind for fault in faults] == ["gain_kt", "friction_coulomb", "jump", "runaway", "loss"]
     assert faults[3].latch == "until_power_cycle"
     assert not any(fault.check() for fault in faults)
 
