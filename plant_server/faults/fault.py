@@ -101,7 +101,11 @@ class Fault:
         """What its kind takes of numbers, in their order; those left out are not there."""
         effect = self.effect
         given = {name: getattr(effect, name) for name in magnitudes_of(type(effect))}
-        return {name: value for name, value in given.items() if isinstance(value, float | int)}
+        return {
+            name: value
+            for name, value in given.items()
+            if isinstance(value, float | int) and not isinstance(value, bool)
+        }
 
     def describe(self) -> str:
         """Return unit, kind and magnitudes as a phrase for a log."""

@@ -46,7 +46,7 @@ class FaultEvent(NamedTuple):
     @property
     def value(self) -> float:
         """The first magnitude of the fault; 0.0 when it takes none."""
-        return next(iter(self.fault.magnitudes.values()), 0.0)
+        return float(next(iter(self.fault.magnitudes.values()), 0.0))
 
 
 class ListedFault(NamedTuple):

@@ -391,6 +391,14 @@ def test_every_kind_stands_for_a_mavlink_failure_or_is_reached_by_name() -> None
         assert make_fault(**json.loads(fault.definition)) == fault
 
 
+def test_the_value_of_an_event_is_a_number_with_a_point() -> None:
+    """Whole numbers and switches are no other kind of number in the log: both builds write the same."""
+    rig = Rig(bus_fault("bus_off", auto_recovery=False), bus_fault("babble", rate_hz=500.0), bus_fault("wrong_dlc"))
+    values = [event.value for event in rig.timeline.take_events(1)]
+    assert values == [0.0, 500.0, 1.0]
+    assert all(type(value) is float for value in values)
+
+
 def test_routes_are_those_of_the_interface() -> None:
     """Sender and receiver of every id as the DBC has them, SYNC and CYCLE_DONE apart."""
     names = {
