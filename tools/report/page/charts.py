@@ -31,7 +31,7 @@ def _paint(draw: Callable[[Any], None], title: str, height: float = SIZE[1]) -> 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    settings = {
+    settings: dict[Any, Any] = {
         "svg.fonttype": "none",
         "svg.hashsalt": "hilsat",
         "font.size": 9.0,
