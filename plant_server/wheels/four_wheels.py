@@ -138,9 +138,10 @@ class FourWheels(WheelBank):
     def receive(self, commands_nm: Sequence[float | None]) -> None:
         """Take the torque commands of this tick [N m]; None: the wheel has none, so its motor gives no torque."""
         a, b, c, d = commands_nm
-        self._commanded = (a is not None, b is not None, c is not None, d is not None)
+        commanded = (a is not None, b is not None, c is not None, d is not None)
         command = (a or 0.0, b or 0.0, c or 0.0, d or 0.0)
-        if command != self.command_nm or self._modes is not ALL_TORQUE:
+        if command != self.command_nm or commanded != self._commanded or self._modes != ALL_TORQUE:
+            self._commanded = commanded
             self._modes = ALL_TORQUE
             self._setpoints = self.command_nm = command
             self.command_b_nm = _combine(self._nominal_axes, command)
