@@ -175,3 +175,16 @@ def test_random_torque_of_a_motor_has_its_size():
     assert np.std(noise) == pytest.approx(0.005, rel=5 / math.sqrt(2 * 4000))
     assert abs(np.mean(noise)) < 5 * 0.005 / math.sqrt(4000)
     assert abs(np.corrcoef(noise[:-1], noise[1:])[0, 1]) < 5 / math.sqrt(4000)
+
+
+def test_a_wheel_whose_command_is_lost_says_so_at_once():
+    """Also where the torque in effect stays the same 0 N m: status 2 of that wheel alone, 0 again with the next command."""
+    config = PlantConfig(
+        body=BodyConfig(inertia_kgm2=J), wheels=tuple(WheelConfig(mount=m) for m in ("x", "y", "z", "skew"))
+    )
+    plant = Plant(config, (), 0.01, 1)
+    seen = []
+    for lost in (False, True, False, True, True, False):
+        plant.step((0.0, None if lost else 0.0, 0.0, 0.0))
+        seen.append(plant.sample().wheel_status)
+    assert seen == [(0, 2 if lost else 0, 0, 0) for lost in (False, True, False, True, True, False)]
