@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import select
 import socket
 from collections.abc import Sequence
 from pathlib import Path
@@ -43,10 +44,15 @@ class Endpoint:
         except OSError as error:
             self._socket.close()
             raise UsageError(f"{path}: cannot make the command socket: {error.strerror or error}") from None
+        self._watch = select.epoll()
+        self._watch.register(self._socket, select.EPOLLIN)
+        self._waiting = self._watch.poll
 
     def poll(self, most: int = AT_ONCE) -> list[tuple[Message, str]]:
         """Return the messages of at most so many datagrams that wait, each with the address to answer to ("": none)."""
         found: list[tuple[Message, str]] = []
+        if not self._left[0] and not self._waiting(0):
+            return found  # nearly always: asking is four times cheaper than a read that finds nothing
         left, packets = most, PACKETS_AT_ONCE
         while left > 0 and packets > 0:
             left -= 1
@@ -116,6 +122,7 @@ class Endpoint:
     def close(self) -> None:
         """Close and remove the socket. May be repeated."""
         if self._socket.fileno() >= 0:
+            self._watch.close()
             self._socket.close()
             with contextlib.suppress(OSError):
                 os.unlink(self.path)
