@@ -36,7 +36,7 @@ from tools.run.runner import RunReport, run_processes
 SCENARIO: Final = "zhang2018-flight"  # 100 Hz
 REALTIME_S: Final = 20.0
 FLOOD_HZ: Final = 10_000.0
-PAIRS: Final = 5
+PAIRS: Final = 9
 CHUNK: Final = 100  # ticks
 GREET_S: Final = 0.5  # between two heartbeats, as the gateway's
 ROOT = Path(__file__).resolve().parents[2]
