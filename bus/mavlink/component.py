@@ -35,6 +35,7 @@ SECOND_NS: Final = 1_000_000_000
 HEARTBEAT_NS: Final = SECOND_NS
 FORGET_NS: Final = 10 * SECOND_NS  # a listener that has not been heard for so long
 LISTENERS: Final = 8
+LOOK_NS: Final = 500_000  # between two looks for what has come, where ticks are shorter: a look takes microseconds
 FASTEST_US: Final = 20_000  # shortest interval of a stream
 APART_NS: Final = 10_000_000  # between the beginnings of two streams: a Unix socket's queue holds ten datagrams
 LATER: Final = 512  # messages that wait to be sent to one receiver

@@ -2,8 +2,9 @@
 
 In real time 100 Hz for 20 s, three times: without a link, with a ground station that listens, and with that and a process of
 its own that sends the flight software's socket as many datagrams as it can, 10 000 a second at most: good commands, good
-requests, rubbish. The socket's queue holds ten datagrams; who sends faster than they are read waits. In lock-step pairs
-of runs, one with a gateway and a ground station that listens, one without; what is compared is the time of the ticks.
+requests, rubbish. The socket's queue holds ten datagrams; who sends faster than they are read waits. In process two benches
+turn about, in CPU time, which other work on the machine changes little. In lock-step pairs of runs, one with a gateway and
+a ground station that listens, one without; what is compared is the wall time of the ticks.
 """
 
 from __future__ import annotations
@@ -26,14 +27,18 @@ from bus.mavlink.dialect import MAVLink, MAVLink_command_long_message, MAVLink_p
 from tools.config.loader import load_scenario
 from tools.config.scenario_files import find_scenario
 from tools.ground.launch import GatewayPlan, plan_gateway
+from tools.ground.side_link import SideLink
 from tools.inject.bench_finder import list_benches
 from tools.log.mcap_reader import read_run
+from tools.run.bench import Bench
 from tools.run.runner import RunReport, run_processes
 
 SCENARIO: Final = "zhang2018-flight"  # 100 Hz
 REALTIME_S: Final = 20.0
 FLOOD_HZ: Final = 10_000.0
-PAIRS: Final = 5
+PAIRS: Final = 9
+CHUNK: Final = 100  # ticks
+GREET_S: Final = 0.5  # between two heartbeats, as the gateway's
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -44,7 +49,7 @@ def measure_ground(seconds: float) -> dict[str, Any]:
         "real time, a station listens": _with_station(lambda plan: _measure_realtime(plan, flood=False)),
         "real time, a station and a flood": _with_station(lambda plan: _measure_realtime(plan, flood=True)),
     }
-    return results | {"lock-step": _measure_pairs(seconds)}
+    return results | {"in process": _measure_in_process(seconds), "lock-step": _measure_pairs(seconds)}
 
 
 def _measure_realtime(plan: GatewayPlan | None, flood: bool) -> dict[str, Any]:
@@ -84,6 +89,39 @@ def _read_timing(report: RunReport) -> dict[str, Any]:
         "released late, us, p50": statistics.median(late_us),
         "released late, us, worst": max(late_us),
         "deadlines missed": slips,
+    }
+
+
+def _measure_in_process(seconds: float) -> dict[str, Any]:
+    """CPU time of two benches turn about, CHUNK ticks each: one has sockets on both sides, and a station that listens."""
+    settings = ["clock.mode=inprocess", f"duration_s={seconds}", "faults=[]", "expect=[]"]
+    resolved = load_scenario(find_scenario(SCENARIO), settings)
+    spent_s: tuple[list[float], list[float]] = ([], [])
+    with tempfile.TemporaryDirectory(prefix="measure-") as name, contextlib.ExitStack() as stack:
+        directory = Path(name)
+        alone = stack.enter_context(Bench(resolved, log=directory / "alone.mcap"))
+        linked = stack.enter_context(Bench(resolved, log=directory / "linked.mcap", ground_dir=directory))
+        sides = [SideLink(directory, side, str(directory / f"{side}.sock")) for side in ("plant", "fsw")]
+        for link in sides:
+            stack.callback(link.close)
+        greet_s = 0.0
+        for _ in range(resolved.ticks // CHUNK):
+            for bench, times_s in zip((alone, linked), spent_s, strict=True):
+                begun_s = time.process_time()
+                bench.step(CHUNK)
+                times_s.append(time.process_time() - begun_s)
+            is_due = time.monotonic() >= greet_s
+            greet_s = time.monotonic() + GREET_S if is_due else greet_s
+            for link in sides:
+                if is_due:
+                    link.greet()
+                link.receive()
+        if not linked.fsw_node.ground or not linked.fsw_node.ground.component.endpoint.counters.sent:
+            return {"failed": "the station heard nothing"}
+    ratios = [one / other for one, other in zip(spent_s[1], spent_s[0], strict=True)]
+    return {
+        "without a link, cpu-us per tick, median": statistics.median(spent_s[0]) / CHUNK * 1e6,
+        "with one, over without, median": statistics.median(ratios),
     }
 
 
