@@ -11,6 +11,7 @@ import contextlib
 import os
 import signal
 import socket
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -52,6 +53,17 @@ def leave_out(reason: str) -> None:
     if os.environ.get("HILSAT_REQUIRE_VCAN") == "1":
         pytest.fail(f"HILSAT_REQUIRE_VCAN=1, and {reason}")
     pytest.skip(reason)
+
+
+@pytest.fixture
+def short_tmpdir(tmp_path: Path) -> Iterator[str]:
+    """A directory of a short name for TMPDIR, and `t` in the test's own as a way into it.
+
+    The names of sockets in it must fit 107 bytes, which pytest's directories may not leave room for.
+    """
+    with tempfile.TemporaryDirectory(prefix="hil-", dir="/tmp", ignore_cleanup_errors=True) as name:
+        (tmp_path / "t").symlink_to(name)
+        yield name
 
 
 @pytest.fixture(scope="session")

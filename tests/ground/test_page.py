@@ -54,7 +54,7 @@ def test_the_lines_for_mavproxy_are_those_that_are_tested() -> None:
 
 
 @pytest.mark.slow
-def test_the_commands_of_the_page_run(tmp_path: Path) -> None:
+def test_the_commands_of_the_page_run(tmp_path: Path, short_tmpdir: str) -> None:
     """Every `hilsat run` line as it stands, two seconds of it, and the line that makes the key."""
     (making,) = re.findall(r"^    (head .*)$", PAGE, re.MULTILINE)
     subprocess.run(["sh", "-c", making], cwd=tmp_path, check=True)
@@ -64,7 +64,7 @@ def test_the_commands_of_the_page_run(tmp_path: Path) -> None:
     short = ["--set", "duration_s=2", "--set", "expect=[]", "--set", "faults=[]", "--no-plot", "-q"]
     for line in lines:
         words = [sys.executable, "-P", "-m", "tools.cli", *shlex.split(line)[1:], *short]
-        environment = {**os.environ, "PYTHONPATH": str(ROOT), "TMPDIR": str(tmp_path)}
+        environment = {**os.environ, "PYTHONPATH": str(ROOT), "TMPDIR": short_tmpdir}
         done = subprocess.run(
             words, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=60, check=False
         )

@@ -13,6 +13,7 @@ import shutil
 import socket
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -117,11 +118,11 @@ def running(words: list[str], directory: Path, **more: Any) -> Iterator[subproce
 @contextlib.contextmanager
 def bench(directory: Path, *words: str) -> Iterator[subprocess.Popen[str]]:
     """`hilsat run` with a temporary directory of its own."""
-    (directory / "t").mkdir(exist_ok=True)
-    environment = {**os.environ, "TMPDIR": str(directory / "t"), "PYTHONPATH": str(ROOT)}
     command = [*HILSAT, "run", *words, "--no-plot", "-q", "--out", str(directory / "run")]
-    with running(command, directory, env=environment) as child:
-        yield child
+    with tempfile.TemporaryDirectory(prefix="hil-", dir="/tmp", ignore_cleanup_errors=True) as short:  # sockets' names
+        environment = {**os.environ, "TMPDIR": short, "PYTHONPATH": str(ROOT)}
+        with running(command, directory, env=environment) as child:
+            yield child
 
 
 def await_words(path: Path, words: str, wait_s: float = 60.0) -> None:

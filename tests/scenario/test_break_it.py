@@ -33,10 +33,9 @@ def commands() -> list[str]:
 
 
 @pytest.fixture
-def environment(tmp_path: Path) -> dict[str, str]:
+def environment(short_tmpdir: str) -> dict[str, str]:
     """A temporary directory of its own: other benches of this machine are not found."""
-    (tmp_path / "t").mkdir()
-    return {**os.environ, "TMPDIR": str(tmp_path / "t"), "PYTHONPATH": str(ROOT)}
+    return {**os.environ, "TMPDIR": short_tmpdir, "PYTHONPATH": str(ROOT)}
 
 
 def start(command: str, cwd: Path, environment: dict[str, str], *, plot: bool = False) -> subprocess.Popen[str]:
