@@ -32,6 +32,7 @@ from bus.mavlink.dialect import (
     MAVLink_command_long_message,
     MAVLink_heartbeat_message,
     MAVLink_param_request_list_message,
+    MAVLink_statustext_message,
     MAVLink_timesync_message,
     mavlink_map,
 )
@@ -549,7 +550,7 @@ def test_a_flood_starves_nobody(content: str, place: Path) -> None:
     rig = Rig(place, KEY if content == "forged" else None)
     try:
         rig.ground.send(sign_at(int((time.time() - 1420070400) * 1e5)))
-        _, sender = rig.await_message("plant", lambda m: m.get_srcComponent() == GROUND[1])
+        _, sender = rig.await_message("fsw", lambda m: m.get_srcComponent() == GROUND[1])
         datagrams = {
             "rubbish": os.urandom(60),
             "forged": sign_at(NOW, b"q" * 32),
@@ -562,7 +563,7 @@ def test_a_flood_starves_nobody(content: str, place: Path) -> None:
             for _ in range(100):
                 rig.ground.send(flood)
                 sent += 1
-            down += rig.sides["plant"].send(heartbeat(), sender)
+            down += rig.sides["fsw"].send(heartbeat(), sender)
             time.sleep(max(0.0, begun_s + (slice_number + 1) * 0.01 - time.monotonic()))
         took_s = time.monotonic() - begun_s
         heard = 0
@@ -581,6 +582,23 @@ def test_a_flood_starves_nobody(content: str, place: Path) -> None:
         assert counters.received - counters.dropped <= BURST + RATE_HZ * (took_s + 1.0) + 1
     else:
         assert counters.received == 1
+
+
+def test_the_heartbeat_of_the_plant_goes_behind_that_of_the_vehicle(place: Path) -> None:
+    """Whoever listens from now on hears the vehicle first: MAVSDK connects to none that is heard second."""
+    rig = Rig(place)
+    try:
+        rig.ground.send(packet_of(heartbeat()))
+        senders = {side: rig.await_message(side, lambda m: m.get_srcComponent() == GROUND[1])[1] for side in rig.sides}
+        rig.sides["plant"].send(heartbeat(), senders["plant"])
+        rig.sides["plant"].send(MAVLink_statustext_message(6, b"not held", 0, 0), senders["plant"])
+        rig.ground.settimeout(1.0)
+        assert read_one(rig.ground.recv(4096)).get_type() == "STATUSTEXT"
+        rig.sides["fsw"].send(heartbeat(), senders["fsw"])
+        heard = [read_one(rig.ground.recv(4096)) for _ in range(2)]
+        assert [(m.get_type(), m.get_srcComponent()) for m in heard] == [("HEARTBEAT", 1), ("HEARTBEAT", 25)]
+    finally:
+        rig.close()
 
 
 def test_a_side_that_is_not_there_is_no_trouble(place: Path) -> None:

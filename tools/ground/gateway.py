@@ -32,6 +32,8 @@ from tools.ground.side_link import SideLink
 from tools.ground.signing import Signing
 
 HEARTBEAT_S: Final = 0.5
+BEHIND_S: Final = 2.0  # for which the plant's heartbeat waits for the vehicle's
+HEARTBEAT_ID: Final = 0
 RETRY_S: Final = 0.005  # after which a side that had no room is tried again
 
 
@@ -44,6 +46,8 @@ class Gateway:
         self._signing = signing
         self._router = Router()
         self._heartbeat_s = 0.0
+        self._held: Message | None = None  # a heartbeat of the plant
+        self._vehicle_s = time.monotonic()  # when the vehicle's was last sent on
         self._selector = selectors.DefaultSelector()
         for link in links:
             self._selector.register(link.socket, selectors.EVENT_READ)
@@ -68,14 +72,33 @@ class Gateway:
                 side.greet()
 
     def carry_down(self) -> None:
-        """Send what the sides have sent to the ground stations."""
+        """Send what the sides have sent to the ground stations.
+
+        The plant's heartbeat goes out behind the vehicle's: MAVSDK never calls a system connected whose first heartbeat is
+        of another component than the autopilot.
+        """
         for side in self.sides.values():
             for message in side.receive():
-                packet = self._router.number(message)
-                if self._signing is not None:
-                    packet = self._signing.sign(packet, crc_extra_of(message))
-                for link in self.links:
-                    link.send(packet)
+                is_heartbeat = message.get_msgId() == HEARTBEAT_ID
+                if is_heartbeat and side.side == "plant" and self._expects_vehicle():
+                    self._held = message
+                    continue
+                self._send_down(message)
+                if is_heartbeat and side.side == "fsw":
+                    self._vehicle_s = time.monotonic()
+                    if self._held is not None:
+                        self._send_down(self._held)
+                        self._held = None
+
+    def _expects_vehicle(self) -> bool:
+        return "fsw" in self.sides and time.monotonic() - self._vehicle_s < BEHIND_S
+
+    def _send_down(self, message: Message) -> None:
+        packet = self._router.number(message)
+        if self._signing is not None:
+            packet = self._signing.sign(packet, crc_extra_of(message))
+        for link in self.links:
+            link.send(packet)
 
     def _carry_up(self, message: Message, counters: LinkCounters) -> None:
         for side, packet in self._router.route(message, counters):
