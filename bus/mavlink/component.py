@@ -37,6 +37,8 @@ FORGET_NS: Final = 10 * SECOND_NS  # a listener that has not been heard for so l
 LISTENERS: Final = 8
 LOOK_NS: Final = 500_000  # between two looks for what has come, where ticks are shorter: a look takes microseconds
 FASTEST_US: Final = 20_000  # shortest interval of a stream
+SLOWEST_US: Final = 1e10
+NEVER_US: Final = -1.0  # as an interval: not sent
 APART_NS: Final = 10_000_000  # between the beginnings of two streams: a Unix socket's queue holds ten datagrams
 LATER: Final = 512  # messages that wait to be sent to one receiver
 AT_ONCE: Final = 16  # of them a poll
@@ -349,22 +351,21 @@ class Component:
 
     def _set_interval(self, request: CommandRequest) -> int:
         """Set how often a message is sent: -1 never, 0 as usual, else the interval in microseconds."""
-        number, interval_us, usual_hz = request.whole(1, -1), request.number(2), self._load_rates()
+        number, interval_us, usual_hz = request.whole(1, -1), request.params[1], self._load_rates()
         if number is None or number not in self.traffic.messages or number == HEARTBEAT_ID:
             return words.UNSUPPORTED
-        if interval_us < 0.0:
-            self._streams.pop(number, None)
-            return words.ACCEPTED
         if interval_us == 0.0:
             rate_hz = usual_hz.get(number, 0.0)
-            interval_us = 1e6 / rate_hz if rate_hz > 0.0 else -1.0
-        if interval_us < 0.0:
+            interval_us = 1e6 / rate_hz if rate_hz > 0.0 else NEVER_US
+        if interval_us == NEVER_US:
             self._streams.pop(number, None)
-        elif interval_us < FASTEST_US or interval_us > 1e10:
-            return words.DENIED
-        else:
+        elif FASTEST_US <= interval_us <= SLOWEST_US:  # NaN is in no range
             self._streams[number] = (int(interval_us * 1e3), self._clock.now_ns())
             self._due_ns = 0
+        else:
+            text = f"SET_MESSAGE_INTERVAL: {interval_us:g} us is not {FASTEST_US} to {SLOWEST_US:g}, 0 (usual) or -1 (never)"
+            self.say(words.WARNING, text, request.address)
+            return words.DENIED
         return words.ACCEPTED
 
     def _take_request(self, message: Message, address: str) -> None:
@@ -470,7 +471,10 @@ def _try_write(item: Parameter, value: float) -> tuple[int, str]:
     if item.write is None:
         return words.PARAM_READ_ONLY, "it can only be read"
     if not (math.isfinite(value) and item.low <= value <= item.high):
-        return words.PARAM_OUT_OF_RANGE, f"{value:g} is not in {item.low:g} to {item.high:g}"
+        where = (
+            f"in {item.low:g} to {item.high:g}" if math.isfinite(item.low + item.high) else "a finite number in range"
+        )
+        return words.PARAM_OUT_OF_RANGE, f"{value:g} is not {where}"
     why = item.write(value)
     return (words.PARAM_DENIED, why) if why else (0, "")
 

@@ -123,12 +123,15 @@ class Fault:
             )
         if self.id is not None and not 0 < len(self.id.strip()) <= LONGEST_ID:
             problems.append(Problem(("id",), f"has {len(self.id)} characters; give 1 to {LONGEST_ID}, not all blank"))
+        if self.id is not None and self.id in NO_IDS:
+            problems.append(Problem(("id",), f'"{self.id}" is what units are called by; give another id'))
         if word := self.effect.explain_futile(plant, self.unit):
             problems.append(Problem(("kind",), word))
         return problems
 
 
 LONGEST_ID = 80
+NO_IDS = {*UNITS, *FAMILIES, "all"}  # who clears by a name means the unit
 PROFILE_NAME: Any = Literal[tuple(PROFILES)] | None
 
 

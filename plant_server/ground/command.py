@@ -34,6 +34,8 @@ class FailureCommand:
 
     def _make_parameter(self, setting: Setting) -> Parameter:
         def write(value: float) -> str:
+            if setting.unit == "ticks" and value != round(value):
+                return f"{value:g} is not a whole number"
             self._values[setting.name] = value
             return ""
 

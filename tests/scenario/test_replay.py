@@ -16,6 +16,7 @@ from mcap.writer import Writer
 
 from bus.errors import RecordError
 from tools.cli import main
+from tools.log.mcap_reader import read_run
 from tools.replay.inputs import parse_input
 from tools.run.bench import Bench
 from tools.verbs.replay import replay
@@ -193,3 +194,34 @@ def test_an_input_is_read_back_whole(log: Path) -> None:
     given_then = parse_input(5, records[INPUT].data)
     assert (given_then.tick, given_then.slips, given_then.flags, given_then.commands) == (5, 0, 0, ())
     assert given_then.frames in records[FRAMES].data
+
+
+@pytest.fixture(scope="module")
+def long_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of many chunks."""
+    overrides = ["duration_s=30", "expect=[]", "faults=[]"]
+    return fly(tmp_path_factory.mktemp("replay") / "long.mcap", "zhang2018-flight", overrides)
+
+
+@pytest.mark.parametrize("share", [0.3, 0.5, 0.7, 0.9])
+def test_a_log_that_was_cut_has_no_false_divergence(long_log: Path, tmp_path: Path, share: float) -> None:
+    """Up to its last cycle nothing differs, wherever it was cut; the same when it was made whole."""
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(long_log.read_bytes()[: int(long_log.stat().st_size * share)])
+    recovered = tmp_path / "recovered.mcap"
+    assert main(["recover", str(cut), "-o", str(recovered)]) in (0, 1, 3)
+    for path in (cut, recovered):
+        outcome = replay(path)
+        assert outcome.same, outcome.first
+        assert 0 < outcome.ticks < 3000
+
+
+def test_a_whole_log_without_its_last_cycles_is_no_pass(log: Path, tmp_path: Path) -> None:
+    """Frames whose cycles are missing at the end of a log that was closed properly are a divergence, not a torn end."""
+    last = read_run(log).ticks(INPUT).max()
+    gone = {topic for topic in read_run(log).topics if topic.startswith("/fsw/")}
+
+    def edit(topic: str, message: Message) -> bytes | None:
+        return None if topic in gone and message.sequence > last - 3 else message.data
+
+    assert not replay(rewrite(log, tmp_path / "short.mcap", edit)).same

@@ -342,15 +342,18 @@ def test_odd_numbers_in_any_parameter_never_raise(rig: Rig) -> None:
         assert -1.0 <= echo.param_value <= 0.9901
 
 
-@pytest.mark.parametrize("interval_us", [-1, 0, FASTEST_US, 1e6, FASTEST_US - 1, 1e11, NAN, math.inf, 2.5e4])
+@pytest.mark.parametrize(
+    "interval_us", [-1, 0, FASTEST_US, 1e6, FASTEST_US - 1, 1e11, NAN, math.inf, -math.inf, -5, 2.5e4]
+)
 def test_streams_come_as_often_as_they_are_asked_for(rig: Rig, interval_us: float) -> None:
-    """-1 never, 0 and what is no number as usual, an interval in its range; what is out of range is denied."""
+    """-1 never, 0 as usual, an interval in its range; all else is denied with the reason, and changes nothing."""
     rig.beat()
     rig.poll()
     heard = rig.command(511, 2, interval_us)
-    denied = math.isfinite(interval_us) and (0 < interval_us < FASTEST_US or interval_us > 1e10)
+    denied = interval_us not in (0, -1) and not FASTEST_US <= interval_us <= 1e10
     assert results(heard) == [words.DENIED if denied else words.ACCEPTED]
-    expected = 10.0 if denied or interval_us == 0 or not math.isfinite(interval_us) else max(0.0, 1e6 / interval_us)
+    assert ("STATUSTEXT" in kinds(heard)) == denied
+    expected = 10.0 if denied or interval_us == 0 else max(0.0, 1e6 / interval_us)
     count = 0
     for turn in range(5000):
         rig.clock.ns += SECOND // 1000

@@ -335,6 +335,7 @@ def test_a_magnitude_that_changes_nothing_is_refused_with_the_reason() -> None:
         assert results == [FAILED]
         assert said.startswith("420: 101 SYSTEM_MOTOR, 8 DRIFT: kind: a bias of 0 N m has no effect")
         assert end.list_faults() == []
+        assert end.set_parameter("FLT_DELAY_TICKS", 1.5) == 5.0  # a whole number, as its text says
         assert end.set_parameter("FLT_WRONG", 1.0) == pytest.approx(0.6)
 
 

@@ -200,6 +200,13 @@ def test_more_noise_on_a_gyro_without_noise_is_refused():
         make_plant([noise], preset="ideal")
 
 
+@pytest.mark.parametrize("name", ["wheel.1", "gyro", "star_tracker", "bus", "all"])
+def test_an_id_is_not_what_a_unit_is_called_by(name):
+    """Who clears by a name means the unit: such an id could never be reached."""
+    with pytest.raises(ConfigError, match="give another id"):
+        make_fault(unit="wheel.1", kind="dead", at_s=1, id=name)
+
+
 def test_ids_are_unique_and_a_fault_without_one_is_called_by_its_place():
     """The second of an id is refused, also when it is the name that another has by its place."""
     dead = {"unit": "wheel.1", "kind": "dead", "at_s": 1.0}

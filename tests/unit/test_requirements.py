@@ -67,6 +67,10 @@ def test_a_log_is_held_against_a_file(tmp_path: Path, capsys: pytest.CaptureFixt
     own = tmp_path / "own.yaml"
     own.write_text(GOOD)
     assert main(["grade", log, "-r", str(own)]) == 1
+    own.write_text(GOOD.replace("[mine, zhang*]", "[mine]").replace("high, check", "high, applies_to: [mine], check"))
+    capsys.readouterr()
+    assert main(["grade", log, "-r", str(own)]) == 1
+    assert "no requirement of" in capsys.readouterr().err
     own.write_text(GOOD.replace("error_deg, bound: 500", "eror_deg, bound: 500"))
     assert main(["grade", log, "-r", str(own)]) == 2
     assert "error_deg" in capsys.readouterr().err
@@ -82,6 +86,7 @@ def test_a_log_is_held_against_a_file(tmp_path: Path, capsys: pytest.CaptureFixt
         (GOOD.replace("check: below", "check: belwo", 1), "belwo"),
         ("# words\nrequirement: []\n", "one key, requirements"),
         ("requirements: [just words]", "is no requirement"),
+        ("requirements: []", "nothing would be required"),
         ("requirements: [", "shared.yaml:1"),
     ],
 )  # fmt: skip

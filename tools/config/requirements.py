@@ -127,6 +127,9 @@ def _read_file(merger: Merger, path: str, wanted_at: Place | None, scenario: str
         place = root.place if root is not None else Place(source, 1, 1)
         merger.add(place, "", f"a requirement file has one key, {KEY}, with a list of requirements")
         return []
+    if not listed.value:
+        merger.add(listed.place, KEY, "the list is empty: nothing would be required")
+        return []
     if len(listed.value) > MOST:
         merger.add(listed.place, KEY, f"{len(listed.value)} requirements; a file takes at most {MOST}")
         return []

@@ -37,7 +37,8 @@ class Grade:
     scenario: str
     verdicts: tuple[Verdict, ...]
     complete: bool  # the run went to its end
-    required: int  # requirements of the scenario itself: expectations and faults
+    required: int  # requirements of the scenario itself, expectations and faults, and those that were added
+    added: int = 0  # of them, from files beside the log
 
     @property
     def outcome(self) -> Outcome:
@@ -118,7 +119,7 @@ def grade_run(run: Run, resolved: Resolved, more: Sequence[Expectation] = ()) ->
         verdicts.append(judge_senders(run))
     verdicts.append(_judge_completeness(completeness))
     required = len(expect) + len(scenario.faults)
-    return Grade(scenario.name, tuple(verdicts), _complete(run, timetable), required)
+    return Grade(scenario.name, tuple(verdicts), _complete(run, timetable), required, len(more))
 
 
 def _prefetch(run: Run, expressions: list[str]) -> None:

@@ -26,6 +26,7 @@ from tools.inject.bench_finder import listens
 
 LOOK_S: Final = 0.2  # between looks at whether the bench is still there
 RESEND_AFTER: Final = 0.4  # of the time that an answer may take
+QUEUE_S: Final = 0.002  # between two tries to put a part into a full queue
 Reply = dict[str, Any]
 
 
@@ -96,17 +97,28 @@ class PlantClient:
         while number not in waiting:
             now_s = time.monotonic()
             if limit_s is not None and now_s - begun_s >= limit_s:
+                if not messages:
+                    raise BenchGone(f"nothing more from the bench within {limit_s:g} s")
                 raise BenchGone(f"no answer from the bench within {limit_s:g} s; it is busy or does not move")
             if resend_s is not None and now_s >= resend_s and sendings < 2:
                 # A plant that is not up yet, or whose queue is full, has not got it: that was no sending.
                 there = listens(self._plant)
-                sendings += there and all(self._endpoint.send(message, self._plant) for message in messages)
+                sendings += there and self._send(messages, now_s + (RESEND_AFTER * (limit_s or 1.0)))
                 resend_s = now_s + (RESEND_AFTER * (limit_s or 1.0) if sendings else LOOK_S)
             self._collect(waiting, token, LOOK_S if limit_s is None else min(LOOK_S, begun_s + limit_s - now_s))
             if number not in waiting and self._has_ended(first=bool(messages)):
                 self._collect(waiting, token, 0.0)  # its last words
                 if number not in waiting:
                     raise BenchGone("the bench has ended")
+
+    def _send(self, messages: list[Message], until_s: float) -> bool:
+        """Send them in order, as fast as the plant reads: its queue holds ten. False where it does not by then."""
+        for message in messages:
+            while not self._endpoint.try_send(message, self._plant):
+                if time.monotonic() >= until_s:
+                    return False
+                time.sleep(QUEUE_S)
+        return True
 
     def _has_ended(self, first: bool) -> bool:
         """Return whether nobody is there any more. A bench that has not answered yet may be about to make its socket."""

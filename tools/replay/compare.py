@@ -57,6 +57,7 @@ class Outcome:
     records: int = 0  # compared
     frames: int = 0  # compared
     unheard: int = 0  # frames that the plant did not log: lost on the way, or sent after its last tick
+    torn: int = 0  # ticks of the bus behind the last cycle that the log has: it was cut there
     differing_ticks: int = 0
     first: Divergence | None = None
 
@@ -79,11 +80,12 @@ def compare_replay(run: Run, again: FlightAgain, tick_ns: int) -> Outcome:
     outcome = Outcome()
     heard = _Heard(run.metadata.get("run", {}).get("clock") == "realtime")
     expected: dict[str, bytes] = {}
+    ahead: deque[LogRecord] = deque()  # of the bus, of ticks whose cycle has not come yet
     expected_tick = last_tick = -1
     slips = 0
     for topic, record in run.iterate_topics(BUS, *topics):
         if topic == BUS:
-            heard.note_recorded(record)
+            ahead.append(record)
             continue
         if record.sequence != expected_tick:
             expected, expected_tick = {}, record.sequence
@@ -100,18 +102,31 @@ def compare_replay(run: Run, again: FlightAgain, tick_ns: int) -> Outcome:
             outcome.ticks += 1
             outcome.records += len(expected)
             heard.note_replayed(cycle.frames)
+            while ahead and ahead[0].sequence <= last_tick:
+                heard.note_recorded(ahead.popleft())
             found = _compare_records(run, expected, cycle) or heard.compare()
             if found is not None:
                 outcome.differing_ticks += 1
                 outcome.first = outcome.first or _locate(found, again, given, tick_ns)
     if not outcome.ticks:
         raise RecordError(f"{run.path}: no cycle of the flight software is in the log; there is nothing to replay")
+    _note_rest(run, outcome, heard, ahead, last_tick)
     found = heard.compare(at_end=True)
     if found is not None:
         outcome.differing_ticks += 1
         outcome.first = outcome.first or _locate(found, again, given, tick_ns)
     outcome.frames, outcome.unheard = heard.compared, heard.unheard
     return outcome
+
+
+def _note_rest(run: Run, outcome: Outcome, heard: _Heard, ahead: deque[LogRecord], last_tick: int) -> None:
+    """Take the frames that the log has behind its last cycle: of a log that was cut there, their cycles are missing."""
+    was_cut = not run.complete or "recovery" in run.metadata
+    for record in ahead:
+        if was_cut and record.sequence > last_tick:
+            outcome.torn += 1
+        else:
+            heard.note_recorded(record)
 
 
 def _list_topics(run: Run, again: FlightAgain) -> tuple[str, ...]:

@@ -176,6 +176,8 @@ def format_info(info: LogInfo) -> str:
 
 
 def _describe_verdict(info: LogInfo) -> str:
+    if info.outcome is None and "scenario.yaml" not in info.attachments:
+        return "none: the log carries no scenario to grade it against"
     if info.outcome is None:
         return "not graded when it was made; `hilsat grade` grades it"
     counts = f", {info.requirements[0]} of {info.requirements[1]} requirements met" if info.requirements else ""

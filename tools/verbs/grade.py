@@ -45,6 +45,9 @@ def run(args: argparse.Namespace) -> int:
             print(f"hilsat grade: {error}", file=sys.stderr)
             code = max(code, error.exit_code)
             continue
+        if args.requirements and not grade.added:
+            names = ", ".join(map(str, args.requirements))
+            print(f"hilsat grade: {log}: no requirement of {names} applies to {grade.scenario}", file=sys.stderr)
         grades.append((log, grade))
         code = max(code, 0 if grade.passed else 1)
         print(to_json(grade) if args.json else format_grade(grade))

@@ -82,9 +82,11 @@ def _add_set(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("kind", metavar="KIND", help="see hilsat inject catalogue UNIT")
     parser.add_argument("settings", nargs="*", metavar="KEY=VALUE", help="keys as of a fault in a scenario file")
     parser.add_argument("--at-tick", type=int, metavar="N", help="when it begins (default: at once)")
-    parser.add_argument("--at", type=float, dest="at_s", metavar="S", help="the same in simulated time [s]")
-    parser.add_argument("--for", type=float, dest="for_s", metavar="S", help="how long it acts [s]")
-    parser.add_argument("--until", type=float, dest="until_s", metavar="S", help="when it ends, simulated time [s]")
+    parser.add_argument("--at", type=_read_time, dest="at_s", metavar="S", help="the same in simulated time [s]")
+    parser.add_argument("--for", type=_read_time, dest="for_s", metavar="S", help="how long it acts [s]")
+    parser.add_argument(
+        "--until", type=_read_time, dest="until_s", metavar="S", help="when it ends, simulated time [s]"
+    )
     parser.add_argument("--id", help="name in the log and for clear")
     parser.add_argument("--profile", help="how it comes on: step, ramp, intermittent, ...")
     parser.add_argument("--wait", action="store_true", help="end when it has changed something")
@@ -140,8 +142,9 @@ def _set(args: argparse.Namespace) -> int:
         except PeerLostError as error:
             if not accepted:
                 raise
+            begins = f"it begins at tick {accepted.get('tick')} and stays set"
             raise PeerLostError(
-                f"{accepted.get('id')} was accepted, and nothing is known of its effect: {error}"
+                f"{accepted.get('id')} was accepted; {begins}, and no effect is known: {error}"
             ) from None
     if args.json:
         print(json.dumps(last if last is accepted else last | {"accepted": accepted}, allow_nan=False))
@@ -250,6 +253,13 @@ def _completion(args: argparse.Namespace) -> int:
 
     print(write_completion(tuple(VERBS)), end="")
     return 0
+
+
+def _read_time(text: str) -> float:
+    value = float(text)
+    if not 0.0 <= value < 1e9:
+        raise argparse.ArgumentTypeError(f"{text} is no time of a run; give seconds, 0 or more")
+    return value
 
 
 def _read_span(text: str) -> float:

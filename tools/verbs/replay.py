@@ -93,6 +93,8 @@ def _format(log: Path, outcome: Outcome) -> str:
     ]
     if outcome.unheard:
         lines.append(f"  {outcome.unheard} frames that the plant did not log were not compared")
+    if outcome.torn:
+        lines.append(f"  the log was cut: {outcome.torn} ticks of the bus behind its last cycle were not compared")
     if outcome.first is not None:
         lines += ["  " + line for line in outcome.first.describe().splitlines()]
     return "\n".join(lines)
