@@ -7,21 +7,16 @@ for them.
 
 from __future__ import annotations
 
-import contextlib
 import os
 import signal
-import socket
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 from hypothesis import settings
-from pymavlink.dialects.v20 import development as stock
 
 from bus.build import CURRENT
-from bus.mavlink import dialect
 from bus.wire.can_link import find_link, kernel_has_can
 
 # A loaded machine is no reason to fail, so no example has a deadline.
@@ -80,62 +75,3 @@ def vcan(kernel_can: None) -> None:
         link = find_link(name)
         if link is None or not link.is_up:
             leave_out(f"there is no {name} that is up; run `make test-vcan`")
-
-
-class Station:
-    """A ground program made of stock pymavlink, on a Unix socket. What that does not know yet it reads by our dialect."""
-
-    def __init__(self, path: Path, vehicle: Path) -> None:
-        self.vehicle = vehicle
-        self.protocol = stock.MAVLink(None, 255, 190)
-        self.reader = stock.MAVLink(None, 0, 0)
-        self.reader.robust_parsing = True
-        self.newer = dialect.MAVLink(None, 0, 0)
-        self.heard: list[Any] = []
-        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-        self._socket.bind(os.fspath(path))
-        self._socket.settimeout(0.0)
-
-    def send(self, message: Any) -> None:
-        """Send a message of the stock dialect."""
-        packet = message.pack(self.protocol)
-        self.protocol.seq = (self.protocol.seq + 1) % 256
-        self.send_bytes(packet)
-
-    def send_bytes(self, data: bytes) -> None:
-        """Send a datagram, whatever is in it."""
-        self._socket.sendto(data, os.fspath(self.vehicle))
-
-    def heartbeat(self) -> None:
-        """Say that there is a ground program."""
-        self.send(stock.MAVLink_heartbeat_message(stock.MAV_TYPE_GCS, stock.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3))
-
-    def command(self, command: int, *params: float, confirmation: int = 0, component: int = 1) -> None:
-        """Send a COMMAND_LONG, parameters that are left out as 0."""
-        seven = [*params, *[0.0] * (7 - len(params))]
-        self.send(stock.MAVLink_command_long_message(1, component, command, confirmation, *seven))
-
-    def listen(self, wait_s: float = 0.0) -> list[Any]:
-        """Return the messages that have come since the last time, in order."""
-        came: list[Any] = []
-        self._socket.settimeout(wait_s)
-        with contextlib.suppress(BlockingIOError, TimeoutError):
-            while True:
-                for message in self.reader.parse_buffer(self._socket.recv(65536)) or []:
-                    unknown = message.get_type().startswith("UNKNOWN")
-                    came.append(self.newer.decode(bytearray(message.get_msgbuf())) if unknown else message)
-                self._socket.settimeout(0.0)
-        self.heard += came
-        return came
-
-    def close(self) -> None:
-        """Close the socket."""
-        self._socket.close()
-
-
-@pytest.fixture
-def station(tmp_path: Path) -> Iterator[Station]:
-    """A stock ground program for the vehicle whose socket is `vehicle` in the test's directory."""
-    found = Station(tmp_path / "station", tmp_path / "vehicle")
-    yield found
-    found.close()
