@@ -1,0 +1,1 @@
+"""Campaigns: many runs from one file, one answer: `hilsat campaign`."""
