@@ -9,7 +9,7 @@ import platform
 import tempfile
 import time
 import traceback
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -50,6 +50,10 @@ class DivergedError(HilsatError):
     """The numbers of a run went beyond what can be computed with."""
 
 
+class LateError(HilsatError):
+    """A run took longer than it may."""
+
+
 class Interruption(Exception):
     """A run was cut short by a signal; carries its number."""
 
@@ -59,18 +63,21 @@ class Interruption(Exception):
         return int(self.args[0])
 
 
-def fly(job: Job, plan: RunPlan, log: Path | None = None, named: str = "") -> Flown:
+def fly(job: Job, plan: RunPlan, log: Path | None = None, named: str = "", limit_s: float | None = None) -> Flown:
     """Fly one run and judge it.
 
-    log   : where its log is to be; None: none is made. The file appears when the run has ended.
-    named : what the result calls the log
+    log     : where its log is to be; None: none is made. The file appears when the run has ended.
+    named   : what the result calls the log
+    limit_s : wall time after which it ends by itself, between two ticks; None: it goes on
     Raises Interruption where a signal cut it short.
     """
     wall_s, cpu_s, ticks, trace = time.perf_counter(), time.process_time(), 0, ""
     try:
         resolved = job.resolve(plan)
         ticks = resolved.ticks
-        result = _fly(job, plan, resolved, log, named)
+        result = _fly(job, plan, resolved, log, named, None if limit_s is None else time.monotonic() + limit_s)
+    except LateError:
+        result = fail(plan, describe_late(limit_s))
     except HilsatError as error:
         result = fail(plan, str(error))
     except Exception as error:
@@ -81,29 +88,34 @@ def fly(job: Job, plan: RunPlan, log: Path | None = None, named: str = "") -> Fl
     return Flown(result, Timing(number=plan.number, wall_s=wall_s, cpu_s=cpu_s, ticks=ticks, worker=worker), trace)
 
 
-def fly_for_bytes(job: Job, plan: RunPlan, named: str = "") -> Flown:
+def fly_for_bytes(job: Job, plan: RunPlan, named: str = "", limit_s: float | None = None) -> Flown:
     """The same where the campaign's directory is out of reach: the log comes back with the result; none if not `named`."""
     if not named:
-        return fly(job, plan)
+        return fly(job, plan, limit_s=limit_s)
     with tempfile.TemporaryDirectory(prefix="hilsat-campaign-", ignore_cleanup_errors=True) as directory:
         path = Path(directory) / "run.mcap"
-        flown = fly(job, plan, path, named)
+        flown = fly(job, plan, path, named, limit_s)
         data = path.read_bytes() if path.is_file() else None
     return Flown(flown.result, flown.timing, flown.trace, data)
 
 
-def _fly(job: Job, plan: RunPlan, resolved: Resolved, log: Path | None, named: str) -> RunResult:
+def describe_late(limit_s: float | None) -> str:
+    """What is said of a run that took too long."""
+    return f"the run took more than {limit_s or 0.0:g} s of wall time and was ended; see --limit"
+
+
+def _fly(job: Job, plan: RunPlan, resolved: Resolved, log: Path | None, named: str, until_s: float | None) -> RunResult:
     more = job.more.get(plan.base, ())
     if job.clock != IN_PROCESS:
         return _fly_processes(job, plan, resolved, log, named)
     if log is None:
-        return judge_run(job, plan, keep_run(resolved, list_wanted(job, resolved, more)), resolved)
+        return judge_run(job, plan, keep_run(resolved, list_wanted(job, resolved, more), until_s), resolved)
     part = log.with_name(f".{log.name}.part")
     with contextlib.suppress(FileNotFoundError):
         part.unlink()
     try:
         with Bench(resolved, log=part) as bench:
-            step_to_end(bench)
+            step_to_end(bench, until_s)
             bench.close("done")
         result = judge_log(job, plan, part, resolved, named)
         os.replace(part, log)
@@ -138,21 +150,28 @@ def _move(source: Path, target: Path) -> None:
     os.replace(part, target)
 
 
-def keep_run(
-    resolved: Resolved, wanted: Iterable[tuple[str, str]], on_progress: Callable[[int], None] | None = None
-) -> Run:
+def keep_run(resolved: Resolved, wanted: Iterable[tuple[str, str]], until_s: float | None = None) -> Run:
     """Fly a scenario in this process; return what was wanted of it (topic and field of each signal)."""
     keeper = Keeper(wanted)
     with Bench(resolved, keeper.link(PLANT_SOURCE), keeper.link(FSW_SOURCE)) as bench:
-        step_to_end(bench, on_progress)
+        step_to_end(bench, until_s)
         bench.close("done")
     return keeper.finish(resolved.scenario.name)
 
 
-def step_to_end(bench: Bench, on_progress: Callable[[int], None] | None = None) -> None:
-    """Run all ticks. Raises DivergedError where body and wheels go beyond what can be computed with."""
+def step_to_end(bench: Bench, until_s: float | None = None) -> None:
+    """Run all ticks.
+
+    until_s : of the monotonic clock: when to give up; None: never
+    Raises DivergedError where body and wheels go beyond what can be computed with, LateError where it took too long.
+    """
+
+    def look(tick: int) -> None:
+        if until_s is not None and time.monotonic() >= until_s:
+            raise LateError
+
     try:
-        bench.step(bench.ticks - bench.tick, on_progress)
+        bench.step(bench.ticks - bench.tick, None if until_s is None else look)
     except (ArithmeticError, ValueError) as error:
         if is_sound(bench):
             raise

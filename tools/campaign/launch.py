@@ -135,15 +135,16 @@ def fly_campaign(
     """
     check_options(options)
     info = describe_campaign(campaign, kind, job.metrics, options)
-    if resume:
-        check_same(directory, info, job.bases)
-    else:
-        begin(directory, info, job.bases)
-    with Store.open(directory) as store, catch_signals() as halt, make_crew(job, directory, options, halt) as crew:
-        if options.retry:
-            store.forget({number for number, result in store.results.items() if result.outcome == "infra"})
-        engine = Engine(campaign, job, store, crew, halt, progress, options.keep_logs)
-        return engine.run(strategy or WholePlan(campaign.points()))
+    with catch_signals() as halt, make_crew(job, directory, options, halt) as crew:
+        if resume:
+            check_same(directory, info, job.bases)
+        else:
+            begin(directory, info, job.bases)
+        with Store.open(directory) as store:
+            if options.retry:
+                store.forget({number for number, result in store.results.items() if result.outcome == "infra"})
+            engine = Engine(campaign, job, store, crew, halt, progress, options.keep_logs)
+            return engine.run(strategy or WholePlan(campaign.points()))
 
 
 def check_options(options: Options) -> None:

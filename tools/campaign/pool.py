@@ -21,7 +21,7 @@ from typing import IO, Any, Final
 from bus.errors import RecordError
 from bus.process import name_signal
 from tools.campaign.crew import Halt, Order
-from tools.campaign.fly import Flown, fail
+from tools.campaign.fly import Flown, describe_late, fail
 from tools.campaign.job import Job
 from tools.campaign.results import Timing
 from tools.run.children import end_with_parent
@@ -180,8 +180,7 @@ class Pool:
             due_s = self._due_s(worker)
             if due_s is not None and time.monotonic() >= due_s:
                 words = worker.end(kill=True)
-                late = f"the run took more than {self._limit_s:g} s of wall time and was ended; see --limit"
-                self._bury(worker, late if worker.ready else words)
+                self._bury(worker, describe_late(self._limit_s) if worker.ready else words)
 
     def _bury(self, worker: Worker, words: str) -> None:
         """A worker is gone: so is the run that it had."""
