@@ -72,7 +72,7 @@ class BoundarySettings:
 class WorstSettings:
     """Search the drawn axes for the run that comes off worst, by differential evolution (Storn & Price 1997).
 
-    Without `requirement` and `metric`: the smallest margin of all requirements, as a share of value and margin. One
+    Without `requirement` and `metric`: the smallest margin of all requirements, each as a share of its usual size. One
     generation is one batch.
     """
 
