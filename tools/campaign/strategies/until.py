@@ -64,7 +64,7 @@ class UntilKnown:
         if not is_reached:
             words += f"; not within {100.0 * settings.half_width:g} % to either side after {settings.most} runs"
         if settings.interval == "clopper_pearson" and looks > 1:
-            words += f"; the interval was looked at {looks} times, which costs a little of its confidence"
+            words += f"; the interval was looked at {looks} times (docs/campaigns.md: what that costs)"
         return {
             **describe_tally(tally, settings.confidence),
             "kind": settings.kind,
