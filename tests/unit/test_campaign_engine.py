@@ -19,7 +19,7 @@ import pytest
 from bus.errors import RecordError, UsageError
 from tools.campaign.chosen_logs import check_keeping, choose_logs, rank_worst
 from tools.campaign.crew import Halt
-from tools.campaign.engine import Conclusion, WholePlan
+from tools.campaign.engine import Conclusion
 from tools.campaign.fly import fly
 from tools.campaign.job import Job, Metric, make_job
 from tools.campaign.keeping import Store, lock
@@ -28,10 +28,12 @@ from tools.campaign.plan import Point, RunPlan, derive_seed
 from tools.campaign.pool import Pool, Solo
 from tools.campaign.progress import Silence
 from tools.campaign.results import Judged, RunResult, read_info, read_results, read_timings
+from tools.campaign.strategies.settings import PlanSettings
 from tools.log.mcap_reader import read_run
 from tools.run.bench import Bench
 
 BASE = "zhang2018-flight"
+PLAN = PlanSettings()
 COMMON = (
     "duration_s=1",
     "faults=[]",
@@ -55,6 +57,8 @@ class HandMade:
     axes: tuple[Any, ...] = ()
     keep_logs: str = "none"
     limit_s: float | None = None
+    metrics: Any = ()
+    strategy: Any = PLAN
 
     def points(self) -> list[Point]:
         return [Point(values={"case": case}, labels={"case": str(case)}) for case in range(self.runs or 0)]
@@ -423,13 +427,6 @@ def test_workers_that_cannot_start_are_told_of(job: Job, tmp_path: Path, monkeyp
     monkeypatch.setenv("HILSAT_BUILD", "nonsense")
     with pytest.raises(RecordError, match="nonsense"):
         fly_all(HandMade(), job, tmp_path / "out", jobs=1)
-
-
-def test_whole_plan_asks_once() -> None:
-    """The plan is one batch."""
-    batches: list[int] = []
-    WholePlan(HandMade().points()).run(lambda points: batches.append(len(points)) or [])  # type: ignore[func-returns-value]
-    assert batches == [6]
 
 
 @pytest.mark.usefixtures("here")

@@ -120,7 +120,8 @@ class DaskCrew:
 
     def _room(self) -> int:
         """Runs that may be under way, so that nobody waits for us and little is dropped by a stop."""
-        return max(1, AHEAD * sum(self._client.nthreads().values()))
+        threads: dict[str, int] = self._client.nthreads()
+        return max(1, AHEAD * sum(threads.values()))
 
     def _submit(self, order: Order) -> Any:
         named = f"{LOG_DIR}/{order.log}" if order.log else ""

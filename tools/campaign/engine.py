@@ -172,18 +172,6 @@ class Engine:
         self._store.replace(dataclasses.replace(result, log="", digest=""))
 
 
-class WholePlan:
-    """The strategy of a campaign that flies its plan."""
-
-    def __init__(self, points: Sequence[Point]) -> None:
-        self._points = points
-
-    def run(self, evaluate: Callable[[Sequence[Point]], list[RunResult]]) -> Mapping[str, Any]:
-        """Fly all points."""
-        evaluate(self._points)
-        return {}
-
-
 def _name_log(number: int) -> str:
     return f"{number:06d}.mcap"
 

@@ -14,13 +14,14 @@ from typing import Any, Final, Protocol
 from bus.errors import UsageError
 from tools.campaign.chosen_logs import check_keeping
 from tools.campaign.crew import Crew, Halt, catch_signals
-from tools.campaign.engine import Conclusion, Engine, Planner, WholePlan
+from tools.campaign.engine import Conclusion, Engine, Planner
 from tools.campaign.job import IN_PROCESS, Job, Metric
 from tools.campaign.keeping import Store, begin, read_bases
 from tools.campaign.plan import Point, Strategy
 from tools.campaign.pool import Pool, Solo
 from tools.campaign.progress import Progress
 from tools.campaign.results import AxisInfo, CampaignInfo, read_info
+from tools.campaign.strategies import make_strategy
 from tools.run.provenance import describe_program
 
 NAMED: Final = ("host", "platform", "python", "versions", "git_rev", "build")
@@ -39,6 +40,7 @@ class Campaign(Planner, Protocol):
     axes: tuple[AxisInfo, ...]
     keep_logs: str
     limit_s: float | None
+    strategy: Any  # settings, see tools/campaign/strategies
 
     def points(self) -> list[Point]:
         """All points of the plan."""
@@ -58,14 +60,12 @@ class Options:
     noted: Mapping[str, str] = field(default_factory=dict)  # more for the provenance
 
 
-def describe_campaign(
-    campaign: Campaign, strategy: str, metrics: Mapping[str, Metric], options: Options
-) -> CampaignInfo:
+def describe_campaign(campaign: Campaign, metrics: Mapping[str, Metric], options: Options) -> CampaignInfo:
     """What is noted of a campaign before its first run."""
     program = describe_program()
     return CampaignInfo(
         name=campaign.name, title=campaign.title, seed=campaign.seed, file=campaign.text, bases=campaign.bases,
-        axes=campaign.axes, runs=campaign.runs, strategy=strategy,
+        axes=campaign.axes, runs=campaign.runs, strategy=campaign.strategy.kind,
         metrics={name: metric.unit for name, metric in metrics.items()},
         provenance={
             "started": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -124,17 +124,15 @@ def fly_campaign(
     strategy: Strategy | None = None,
     *,
     resume: bool = False,
-    kind: str = "plan",
 ) -> Conclusion:
     """Fly a campaign into its directory, or go on with it; return how it ended.
 
-    strategy : which points; None: all of the plan
+    strategy : which points; None: what the campaign asks for
     resume   : the directory has the campaign already
-    kind     : what the strategy is called
     Raises UsageError for a directory that is taken, or for another campaign; RecordError when results cannot be written.
     """
     check_options(options)
-    info = describe_campaign(campaign, kind, job.metrics, options)
+    info = describe_campaign(campaign, job.metrics, options)
     with catch_signals() as halt, make_crew(job, directory, options, halt) as crew:
         if resume:
             check_same(directory, info, job.bases)
@@ -144,7 +142,7 @@ def fly_campaign(
             if options.retry:
                 store.forget({number for number, result in store.results.items() if result.outcome == "infra"})
             engine = Engine(campaign, job, store, crew, halt, progress, options.keep_logs)
-            return engine.run(strategy or WholePlan(campaign.points()))
+            return engine.run(strategy or make_strategy(campaign))
 
 
 def check_options(options: Options) -> None:

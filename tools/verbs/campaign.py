@@ -112,12 +112,9 @@ def run(args: argparse.Namespace) -> int:
 
         return print_plan(campaign, job, options.jobs, as_json=args.json)
     directory = args.resume or make_directory(args.out, campaign.name)
-    strategy, kind = _make_strategy(campaign)
     progress, started_s = make_progress(args.quiet), time.monotonic()
     try:
-        conclusion = fly_campaign(
-            campaign, job, directory, options, progress, strategy, resume=args.resume is not None, kind=kind
-        )
+        conclusion = fly_campaign(campaign, job, directory, options, progress, resume=args.resume is not None)
     finally:
         progress.close()
     _tell(args, directory, conclusion, time.monotonic() - started_s)
@@ -147,16 +144,6 @@ def _read(args: argparse.Namespace) -> _Asked:
         raise UsageError(f"{args.resume}: its campaign file {path} is not there any more; name it: FILE --resume DIR")
     overrides = overrides or list(read_overrides(info))
     return _Asked(load_campaign(path, overrides), path, overrides, noted)
-
-
-def _make_strategy(campaign: Any) -> tuple[Any, str]:
-    """What the campaign flies by, and what it is called."""
-    kind = getattr(campaign.strategy, "kind", "plan")
-    if importlib.util.find_spec("tools.campaign.strategies") is None:
-        return None, kind
-    from tools.campaign.strategies import make_strategy
-
-    return make_strategy(campaign), kind
 
 
 def _tell(args: argparse.Namespace, directory: Path, conclusion: Any, wall_s: float) -> None:
