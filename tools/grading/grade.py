@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from bus.errors import RecordError
-from tools.config.expect import Expectation
+from tools.config.expect import Expectation, expressions_of
 from tools.config.loader import load_text
 from tools.config.requirements import load_requirements
 from tools.config.scenario import Resolved
@@ -110,7 +110,7 @@ def grade_run(run: Run, resolved: Resolved, more: Sequence[Expectation] = ()) ->
     scenario = resolved.scenario
     expect = [*scenario.expect, *more]
     timetable = make_timetable(resolved)
-    _prefetch(run, [item.signal for item in expect])
+    _prefetch(run, [expression for item in expect for expression in expressions_of(item)])
     faults = run.faults  # read before the damage is counted
     completeness = check_completeness(run, timetable)
     verdicts = [judge(run, item, completeness, timetable) for item in expect]
