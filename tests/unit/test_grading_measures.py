@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -263,6 +264,16 @@ def test_matching_a_reference_log(log: Run, tmp_path: Path) -> None:
     assert (
         judge(log, make(Matches, signal="truth.attitude.flag", tolerance=1.0), reference=log).outcome == "not executed"
     )
+
+
+def test_the_page_says_nothing_that_is_refused() -> None:
+    """Every way of writing a requirement in docs/grading.md is taken by a scenario as it stands there."""
+    page = (Path(__file__).parents[2] / "docs" / "grading.md").read_text()
+    items = re.findall(r"^\| .* \| `(check: .*?)`", page, re.MULTILINE)
+    assert len(items) >= 15
+    text = ", ".join(f"{{name: n{number}, {item}}}" for number, item in enumerate(items))
+    scenario = load_scenario(find_scenario("zhang2018-flight"), [f"expect=[{text}]", "inject=allowed"]).scenario
+    assert len(scenario.expect) == len(items)
 
 
 @pytest.mark.parametrize(
