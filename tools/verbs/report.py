@@ -27,7 +27,7 @@ def run(args: argparse.Namespace) -> int:
     from tools.report.page.page import render
 
     out: Path = args.out or args.logs[0].with_name("report.html")
-    with create(out, args.logs[0], args.force) as part:
+    with create(out, args.logs, args.force) as part:
         sections = [gather(log, number) for number, log in enumerate(args.logs, 1)]
         part.write_text(render(sections), encoding="utf-8")
     print(out)
