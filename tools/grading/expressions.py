@@ -55,6 +55,20 @@ def evaluate(run: Run, expression: str, *, vector: bool = False) -> Series:
     Raises ConfigError where a topic or field is not in the log (with the near miss), cannot be read, where the result is
     a vector or the expression is none.
     """
+    series = evaluate_all(run, expression)
+    if vector:
+        if series.values.ndim != 2:
+            raise ConfigError(f"signal {_shorten(expression)} is a single number, where a vector is needed")
+        return series
+    if series.values.ndim != 1:
+        raise ConfigError(
+            f"signal {_shorten(expression)} is a vector of {series.values.shape[1]}; take an element, [0], or norm(...)"
+        )
+    return series
+
+
+def evaluate_all(run: Run, expression: str) -> Series:
+    """The same for an expression that may be a vector: `values` of shape (n,) or (n, width)."""
     try:
         series = _evaluate(run, _parse(expression))
     except (ValueError, IndexError, OverflowError, TypeError) as error:
@@ -65,14 +79,6 @@ def evaluate(run: Run, expression: str, *, vector: bool = False) -> Series:
         raise ConfigError(f"signal {_shorten(expression)} is nested too deeply to be evaluated") from None
     if series.t_s is None:
         raise ConfigError(f"signal {_shorten(expression)} names no logged signal, such as truth.attitude.error_deg")
-    if vector:
-        if series.values.ndim != 2:
-            raise ConfigError(f"signal {_shorten(expression)} is a single number, where a vector is needed")
-        return series
-    if series.values.ndim != 1:
-        raise ConfigError(
-            f"signal {_shorten(expression)} is a vector of {series.values.shape[1]}; take an element, [0], or norm(...)"
-        )
     return series
 
 

@@ -31,6 +31,7 @@ from tools.config.expect import (
 )  # fmt: skip
 from tools.grading.expressions import Series
 from tools.report.info import FaultStory
+from tools.report.thinning import thin
 
 MAX_POINTS: Final = 1500  # of a line: more cannot be seen on a page
 SIZE: Final = (5.8, 2.3)  # inches
@@ -85,8 +86,8 @@ def draw_signal(series: Series, name: str, unit: str, items: list[Expectation], 
     assert t_s is not None
 
     def draw(axis: Any) -> None:
-        step = max(1, t_s.size // MAX_POINTS)
-        shown = _thin(values, step)
+        pick = thin(values, MAX_POINTS)
+        shown = values[pick]
         bounds = [bound for item in items for bound in _bounds_of(item)]
         largest = float(np.nanmax(np.abs(values), initial=0.0))
         # what settles, and what starts far beyond its bounds: on a straight scale nothing is to be seen of them
@@ -96,7 +97,7 @@ def draw_signal(series: Series, name: str, unit: str, items: list[Expectation], 
                 np.nanmin(values, initial=0.0) >= 0.0 and bounds and min(bounds) > 0.0 and largest > 20.0 * max(bounds)
             )
         )
-        axis.plot(t_s[::step], np.maximum(np.abs(shown), 1e-12) if is_log else shown, color=LINE, lw=1.2)
+        axis.plot(t_s[pick], np.maximum(np.abs(shown), 1e-12) if is_log else shown, color=LINE, lw=1.2)
         if is_log:
             axis.set_yscale("log")
         for bound in bounds:
@@ -118,16 +119,6 @@ def draw_signal(series: Series, name: str, unit: str, items: list[Expectation], 
         else "no number in it"
     )
     return _paint(draw, f"{name} over time, {ranges}")
-
-
-def _thin(values: Any, step: int) -> Any:
-    """Every step-th value; of each stretch the one that is largest in magnitude, so that no peak is lost."""
-    if step == 1:
-        return values
-    count = -(-len(values) // step)
-    padded = np.concatenate([values, np.full(count * step - len(values), values[-1])]).reshape(count, step)
-    pick = np.argmax(np.abs(np.nan_to_num(padded)), axis=1)
-    return padded[np.arange(count), pick]
 
 
 def _bounds_of(item: Expectation) -> list[float]:
