@@ -27,7 +27,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "replay": ("tools.verbs.replay", "fly a log's flight software again and compare it bit for bit"),
     "verify": ("tools.verbs.verify", "whether this machine repeats a run to the byte"),
     "report": ("tools.verbs.report", "one HTML page about one or more logs: verdicts, margins, pictures"),
-    "plot": ("tools.verbs.plot", "draw a log as PNG"),
+    "plot": ("tools.verbs.plot", "draw a log, or any signals of some logs, as png, svg or pdf"),
     "shootout": ("tools.verbs.shootout", "fly every law with every allocator through the same faults, one table"),
     "campaign": ("tools.verbs.campaign", "many runs from one file, one answer"),
     "bench": ("tools.verbs.bench", "measure what a cycle costs on this machine"),

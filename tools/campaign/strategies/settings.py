@@ -29,8 +29,8 @@ class UntilSettings:
     """Fly the plan in batches, again and again with new seeds, until the pass rate is known well enough.
 
     The interval is looked at after each batch. `clopper_pearson` is exact for one look; what looking
-    often costs is computed in docs/campaigns.md (0.2 % of 95). `confidence_sequence` holds for any number of looks and needs more
-    runs.
+    often costs is computed in docs/campaigns.md (0.2 % of 95). `confidence_sequence` holds for any number of looks and
+    needs more runs.
     """
 
     kind: Literal["until"]
