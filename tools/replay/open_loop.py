@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from bus.errors import RecordError
 from fsw.telemetry import INPUT_TOPIC
 from tools.log.mcap_reader import ENCAPSULATION_SIZE, Run, parse_layout
-from tools.replay.flight_again import FlightAgain
+from tools.replay.flight_again import Flown
 from tools.replay.inputs import parse_input
 
 BATCH: Final = 4096  # records of a topic that are compared at once
@@ -34,6 +34,12 @@ class SignalChange:
     largest_s: float = 0.0
     recorded: float = 0.0  # there
     replayed: float = 0.0
+    peak: float = 0.0  # largest size on either side
+
+    @property
+    def relative(self) -> float:
+        """The largest difference against the signal's size, 0 to 2."""
+        return self.largest / self.peak if self.peak and np.isfinite(self.largest) else 2.0
 
     def describe(self) -> str:
         """One line for people."""
@@ -116,13 +122,16 @@ def _compare_field(change: SignalChange, a: NDArray[Any], b: NDArray[Any], t_s: 
     if not change.differing:
         change.first_s = float(t_s[rows[0]])
     change.differing += int(rows.size)
+    change.peak = max(
+        change.peak, *(float(np.max(np.abs(side), initial=0.0, where=np.isfinite(side))) for side in (one, two))
+    )
     row, column = np.unravel_index(int(np.argmax(size)), size.shape)
     if size[row, column] > change.largest:
         change.largest, change.largest_s = float(size[row, column]), float(t_s[row])
         change.recorded, change.replayed = float(one[row, column]), float(two[row, column])
 
 
-def compare_open_loop(run: Run, again: FlightAgain, tick_ns: int) -> OpenLoop:
+def compare_open_loop(run: Run, again: Flown, tick_ns: int) -> OpenLoop:
     """Fly every recorded cycle with the other software or settings; say how each of its signals differs.
 
     Raises RecordError when the log has no inputs.
