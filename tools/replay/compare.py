@@ -10,19 +10,15 @@ from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 from bus.errors import RecordError
-from bus.icd.messages import MESSAGES
 from bus.wire.frames import FRAME_SIZE
 from fsw.telemetry import INPUT_TOPIC
 from fsw.telemetry import SOURCE as FSW_SOURCE
-from tools.log.mcap_reader import FRAMES_AT, LogRecord, Run
-from tools.log.message_index import DATA_AT
+from tools.log.mcap_reader import LogRecord, Run
 from tools.replay.flight_again import Cycle, Flown
+from tools.replay.heard import BUS, Found, HeardFrames
 from tools.replay.inputs import CycleInput, parse_input
 from tools.replay.origin import compare_layouts, describe_origin, join_some
 
-BUS: Final = "/can/bus0"
-SAID_BY_FSW: Final = tuple(sorted(can_id for can_id, message in MESSAGES.items() if message.sender == "FSW"))
-PATIENCE: Final = 50  # real time: cycles that a logged frame may be ahead of the one that sent it
 SHOWN_FRAMES: Final = 20
 
 
@@ -91,7 +87,7 @@ class _Comparison:
     def __init__(self, run: Run, again: Flown, tick_ns: int, edit: Edit | None) -> None:
         self._run, self._again, self._tick_ns, self._edit = run, again, tick_ns, edit
         self._outcome = Outcome()
-        self._heard = _Heard(run.metadata.get("run", {}).get("clock") == "realtime")
+        self._heard = HeardFrames(run)
         self._ahead: deque[LogRecord] = deque()  # of the bus, of ticks whose cycle has not come yet
         self._last_tick, self._slips = -1, 0
 
@@ -137,7 +133,7 @@ class _Comparison:
             heard.note_recorded(ahead.popleft())
         self._note(_compare_records(self._run, expected, cycle) or heard.compare(), given)
 
-    def _note(self, found: _Found | None, given: CycleInput) -> None:
+    def _note(self, found: Found | None, given: CycleInput) -> None:
         if found is not None:
             self._outcome.differing_ticks += 1
             self._outcome.first = self._outcome.first or _locate(found, self._again.mode, given, self._tick_ns)
@@ -174,15 +170,7 @@ def _list_topics(run: Run, again: Flown) -> tuple[str, ...]:
     return tuple(recorded)
 
 
-@dataclass(frozen=True, slots=True)
-class _Found:
-    where: str
-    signal: str
-    recorded: Any
-    replayed: Any
-
-
-def _compare_records(run: Run, expected: dict[str, bytes], cycle: Cycle) -> _Found | None:
+def _compare_records(run: Run, expected: dict[str, bytes], cycle: Cycle) -> Found | None:
     """The first thing in which the records of a cycle differ."""
     if expected == cycle.records:
         return None
@@ -191,68 +179,16 @@ def _compare_records(run: Run, expected: dict[str, bytes], cycle: Cycle) -> _Fou
         if one == two:
             continue
         if one is None or two is None or topic == INPUT_TOPIC:
-            return _Found(topic, "whole record", _show(one), _show(two))
+            return Found(topic, "whole record", _show(one), _show(two))
         a, b = run.decode(topic, one), run.decode(topic, two)
         for name in a:
             if _bits(a[name]) != _bits(b[name]):
-                return _Found(topic, name, a[name], b[name])
-        return _Found(topic, "stamp", _show(one), _show(two))
+                return Found(topic, name, a[name], b[name])
+        return Found(topic, "stamp", _show(one), _show(two))
     return None
 
 
-class _Heard:
-    """The frames of the flight software as the plant logged them, beside those that it sends again: id by id, in order."""
-
-    def __init__(self, lossy: bool) -> None:
-        """lossy: in real time a frame may be lost, and one may be logged before or after the cycle that sent it."""
-        self._lossy = lossy
-        self._recorded: dict[int, deque[bytes]] = {can_id: deque() for can_id in SAID_BY_FSW}
-        self._replayed: dict[int, deque[bytes]] = {can_id: deque() for can_id in SAID_BY_FSW}
-        self.compared = 0
-        self.unheard = 0
-
-    def note_recorded(self, record: LogRecord) -> None:
-        """Take the frames of a tick of the bus."""
-        _sort(record.data[FRAMES_AT - DATA_AT :], self._recorded)
-
-    def note_replayed(self, frames: bytes) -> None:
-        """Take the frames of a cycle."""
-        _sort(frames, self._replayed)
-
-    def compare(self, at_end: bool = False) -> _Found | None:
-        """Match what both sides have by now; the first mismatch."""
-        first = None
-        for can_id in SAID_BY_FSW:
-            recorded, replayed = self._recorded[can_id], self._replayed[can_id]
-            while recorded and (replayed or at_end):
-                frame = recorded[0]
-                place = replayed.index(frame) if frame in replayed else -1
-                if place < 0 and self._lossy and len(replayed) < PATIENCE and not at_end:
-                    break  # it may still come
-                self.compared += 1
-                recorded.popleft()
-                if place == 0 or (place > 0 and self._lossy):
-                    self.unheard += place
-                    for _ in range(place + 1):
-                        replayed.popleft()
-                else:
-                    other = replayed.popleft() if replayed else b""
-                    first = first or _Found(
-                        f"frame 0x{can_id:03X}", "data", frame[8:].hex(), other[8:].hex() or "no frame"
-                    )
-        if at_end:
-            self.unheard += sum(map(len, self._replayed.values()))
-        return first
-
-
-def _sort(frames: bytes, queues: dict[int, deque[bytes]]) -> None:
-    for at in range(0, len(frames), FRAME_SIZE):
-        queue = queues.get(int.from_bytes(frames[at : at + 4], "little"))
-        if queue is not None:
-            queue.append(frames[at : at + FRAME_SIZE])
-
-
-def _locate(found: _Found, mode: str, given: CycleInput, tick_ns: int) -> Divergence:
+def _locate(found: Found, mode: str, given: CycleInput, tick_ns: int) -> Divergence:
     frames = [given.frames[at : at + FRAME_SIZE] for at in range(0, len(given.frames), FRAME_SIZE)]
     words = [f"{int.from_bytes(f[:4], 'little'):03X}#{f[8 : 8 + min(f[4], 8)].hex().upper()}" for f in frames]
     shown = " ".join(words[:SHOWN_FRAMES]) + (

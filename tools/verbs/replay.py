@@ -116,6 +116,8 @@ def _replay_one(log: Path, choice: Choice, args: argparse.Namespace) -> tuple[Ou
     if args.plot is not None and changes.changes:
         _draw(opened, changes, args.plot, log, args.force)
         lines.append(f"  picture  {args.plot}")
+    elif args.plot is not None:
+        lines.append("  no signal differs, so there is no picture")
     return changes, lines
 
 
@@ -167,9 +169,12 @@ def _format(log: Path, outcome: Outcome, opened: Opened) -> list[str]:
 def _format_open_loop(log: Path, outcome: OpenLoop, choice: Choice) -> list[str]:
     what = f" with the flight software of {choice.home}" if choice.home else ""
     lines = [
-        f"{log}: open loop{what}: {len(outcome.changes)} of {outcome.signals} signals differ in {outcome.ticks} ticks",
+        f"{log}: open loop{what}: {len(outcome.changes)} of {outcome.signals} signals and {outcome.frames_differing} of "
+        f"{outcome.frames} frames differ in {outcome.ticks} ticks",
         *(f"  {change.describe()}" for change in outcome.changes),
     ]
+    if outcome.first_frame:
+        lines.append(f"  frames: first {outcome.first_frame}")
     for side, names in (("recorded", outcome.only_recorded), ("replayed", outcome.only_replayed)):
         if names:
             lines.append(f"  only {side}: {', '.join(names)}")
