@@ -174,10 +174,8 @@ def leave_out_defaults(settings: Any) -> dict[str, Any]:
     kind: Any = type(settings)
     for name, (_, default) in fields_of(kind).items():
         value = getattr(settings, name)
-        if hasattr(type(value), "__dataclass_fields__"):
-            inner = leave_out_defaults(value)
-            if inner or default is NOTHING:
-                sparse[name] = inner
-        elif name == "kind" or default is NOTHING or value != default:
-            sparse[name] = plain(value)
+        if name != "kind" and default is not NOTHING and value == default:
+            continue
+        is_group = hasattr(type(value), "__dataclass_fields__") and not hasattr(value, "plain_settings")
+        sparse[name] = leave_out_defaults(value) if is_group else plain(value)
     return sparse
