@@ -29,6 +29,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "report": ("tools.verbs.report", "one HTML page about one or more logs: verdicts, margins, pictures"),
     "plot": ("tools.verbs.plot", "draw a log, or any signals of some logs, as png, svg or pdf"),
     "shootout": ("tools.verbs.shootout", "fly every law with every allocator through the same faults, one table"),
+    "campaign": ("tools.verbs.campaign", "many runs from one file, one answer"),
     "bench": ("tools.verbs.bench", "measure what a cycle costs on this machine"),
     "inject": ("tools.verbs.inject", "break and heal units of a bench that runs, keep it as a scenario"),
     "plant": ("tools.verbs.sides", "run the plant alone, on a bus"),
