@@ -11,8 +11,8 @@ from bus.errors import ConfigError
 from fsw.telemetry import SOURCE as FSW_SOURCE
 from plant_server.truth import SOURCE as PLANT_SOURCE
 from tools.campaign.fly import keep_run, list_wanted
-from tools.campaign.kept_run import Keeper
 from tools.campaign.job import Job
+from tools.campaign.kept_run import Keeper
 from tools.config.loader import load_scenario
 from tools.config.scenario import Resolved
 from tools.config.scenario_files import find_scenario, list_shipped
