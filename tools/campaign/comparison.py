@@ -13,7 +13,7 @@ them, however many cells there are.
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, Literal
@@ -119,7 +119,7 @@ class _Side:
     """One campaign, counted: cell -> requirement -> outcomes; and its runs by number, for pairs."""
 
     counts: dict[Place, dict[str, Counter[Outcome]]] = field(default_factory=dict)
-    runs: dict[Place, dict[int, tuple[RunResult, dict[str, Outcome]]]] = field(default_factory=dict)
+    runs: dict[Place, dict[int, tuple[RunResult, Mapping[str, Outcome]]]] = field(default_factory=dict)
 
     def tally(self, cell: Place, requirement: str) -> Tally:
         count = self.counts.get(cell, {}).get(requirement, Counter())
@@ -163,10 +163,12 @@ def _count_side(loaded: Loaded, axes: Sequence[str]) -> _Side:
         own = (result.base, *(result.labels.get(axis, "-") for axis in axes))
         outcomes = {OUTCOME: result.outcome, **judged}
         for cell in ((), own):
-            counts = side.counts.setdefault(cell, {})
+            if cell not in side.counts:
+                side.counts[cell], side.runs[cell] = defaultdict(Counter), {}
+            counts = side.counts[cell]
             for key, outcome in outcomes.items():
-                counts.setdefault(key, Counter())[outcome] += 1
-            side.runs.setdefault(cell, {})[result.number] = (result, outcomes)
+                counts[key][outcome] += 1
+            side.runs[cell][result.number] = (result, outcomes)
     return side
 
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import gc
 import json
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
 
@@ -39,9 +40,9 @@ MOST_CELLS: Final = 10_000  # of a matrix: more is nobody's table
 WORST_FIRST: Final = ("fail", "not executed", "pass", "infra")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Loaded:
-    """A campaign's directory, read."""
+    """A campaign's directory, read; what several tables need is counted once."""
 
     directory: Path
     info: CampaignInfo
@@ -49,10 +50,20 @@ class Loaded:
     found: Mapping[str, Any]  # by its strategy
     outcomes: Sequence[Mapping[str, Outcome]]  # of each run: what came of each requirement
 
-    @property
+    @cached_property
     def tally(self) -> Tally:
         """Of the outcomes of the runs."""
         return tally_outcomes(result.outcome for result in self.results)
+
+    @cached_property
+    def worst_first(self) -> list[RunResult]:
+        """All runs that were judged."""
+        return rank_worst(self.results)
+
+    @cached_property
+    def requirements(self) -> list[Requirement]:
+        """Every requirement that any run was judged by, in the order of their first appearance."""
+        return list_requirements(self)
 
     @property
     def list_axes(self) -> tuple[AxisInfo, ...]:
@@ -173,17 +184,17 @@ def outcomes_by_requirement(result: RunResult) -> dict[str, Outcome]:
 
 def list_requirements(loaded: Loaded) -> list[Requirement]:
     """Every requirement that any run was judged by, in the order of their first appearance."""
-    counts: dict[str, Counter[Outcome]] = {}
+    counts: dict[str, Counter[Outcome]] = defaultdict(Counter)
     first: dict[str, Judged] = {}
-    bounds: dict[str, dict[str, None]] = {}
+    bounds: dict[str, dict[str, None]] = defaultdict(dict)
     worst: dict[str, tuple[float, RunResult]] = {}
     for result, outcomes in zip(loaded.results, loaded.outcomes, strict=True):
         for key, outcome in outcomes.items():
-            counts.setdefault(key, Counter())[outcome] += 1
+            counts[key][outcome] += 1
         for verdict in result.verdicts:
             key = key_of(verdict)
             first.setdefault(key, verdict)
-            bounds.setdefault(key, {})[verdict.bound] = None
+            bounds[key][verdict.bound] = None
             if verdict.margin is not None and (key not in worst or verdict.margin < worst[key][0]):
                 worst[key] = (verdict.margin, result)
     infra = loaded.tally.infra
@@ -260,7 +271,7 @@ def make_matrix(loaded: Loaded, rows: str | None = None, columns: str | None = N
 
 def _fill(loaded: Loaded, rows: str, columns: str) -> Matrix:
     groups = group(loaded.results, lambda result: (label_of(result, rows), label_of(result, columns)))
-    ranks = {result.number: i for i, result in enumerate(rank_worst(loaded.results))}
+    ranks = {result.number: i for i, result in enumerate(loaded.worst_first)}
     cells = {}
     for place, members in groups.items():
         worst = min(members, key=lambda result: ranks.get(result.number, len(ranks)))
@@ -318,12 +329,14 @@ def _explain(judged: Sequence[RunResult], axis: str) -> float:
 
 def tally_by_axis(loaded: Loaded, axis: str) -> dict[str, dict[str, Tally]]:
     """For each label of an axis, and for each requirement and `outcome`: how the runs came off."""
-    counts: dict[str, dict[str, Counter[Outcome]]] = {label: {} for label in _list_labels(loaded, axis, ())}
+    counts: dict[str, dict[str, Counter[Outcome]]] = defaultdict(lambda: defaultdict(Counter))
+    for label in _list_labels(loaded, axis, ()):
+        counts[label] = defaultdict(Counter)
     for result, outcomes in zip(loaded.results, loaded.outcomes, strict=True):
-        own = counts.setdefault(label_of(result, axis), {})
-        own.setdefault(OUTCOME, Counter())[result.outcome] += 1
+        own = counts[label_of(result, axis)]
+        own[OUTCOME][result.outcome] += 1
         for key, outcome in outcomes.items():
-            own.setdefault(key, Counter())[outcome] += 1
+            own[key][outcome] += 1
     return {
         label: {key: Tally(*(count[outcome] for outcome in OUTCOMES)) for key, count in own.items()}
         for label, own in counts.items()

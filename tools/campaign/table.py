@@ -18,10 +18,8 @@ from tools.campaign.summary import (
     Cell,
     Loaded,
     Matrix,
-    list_requirements,
     make_matrix,
     name_troubles,
-    rank_worst,
 )
 
 STYLES: Final = {"PASS": "green", "FAIL": "bold red", "NOT EXECUTED": "yellow", "INFRA": "magenta", "worse": "bold red",
@@ -80,7 +78,7 @@ def list_grids(loaded: Loaded, rows: str | None, columns: str | None, worst: int
     if loaded.list_axes or rows or columns:
         yield _lay_out(make_matrix(loaded, rows, columns))
     yield _list_verdicts(loaded)
-    if picked := rank_worst(loaded.results)[:worst]:
+    if picked := loaded.worst_first[:worst]:
         yield Grid(
             "Worst runs",
             ("outcome", "repeat with", "values", "why"),
@@ -103,7 +101,7 @@ def _list_verdicts(loaded: Loaded) -> Grid:
                 "-" if item.worst is None else f"#{item.worst.number}",
                 item.title,
             )
-            for item in list_requirements(loaded)
+            for item in loaded.requirements
         ),
     )
 
@@ -163,11 +161,11 @@ def describe_loaded(loaded: Loaded, rows: str | None, columns: str | None, worst
                 "smallest_margin": item.smallest,
                 "worst_run": None if item.worst is None else item.worst.number,
             }
-            for item in list_requirements(loaded)
+            for item in loaded.requirements
         ],
         "worst": [
             {"number": r.number, "outcome": r.outcome, "command": loaded.command(r), "why": name_troubles(r)}
-            for r in rank_worst(loaded.results)[:worst]
+            for r in loaded.worst_first[:worst]
         ],
     }
 

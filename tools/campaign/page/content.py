@@ -21,9 +21,7 @@ from tools.campaign.summary import (
     Matrix,
     Requirement,
     key_of,
-    list_requirements,
     make_matrix,
-    rank_worst,
     tally_by_axis,
 )
 from tools.campaign.table import list_reasons
@@ -84,8 +82,8 @@ def gather(loaded: Loaded, rows: str | None = None, columns: str | None = None) 
         loaded,
         loaded.tally,
         make_matrix(loaded, rows, columns),
-        list_requirements(loaded),
-        rank_worst(loaded.results)[:WORST],
+        loaded.requirements,
+        loaded.worst_first[:WORST],
         list_reasons(loaded),
         cover(loaded.results),
     )
@@ -200,7 +198,7 @@ def _draw_scatters(loaded: Loaded, targets: dict[str, Any], weighed: Sequence[Im
     """The pairs of a drawn axis and a number that have most to do with each other."""
     numbers, _ = read_axes(loaded.results, loaded.info.axes)
     axis_units = {axis.name: axis.unit for axis in loaded.info.axes}
-    units = {f"margin of {item.key}": item.unit for item in list_requirements(loaded)}
+    units = {f"margin of {item.key}": item.unit for item in loaded.requirements}
     units |= loaded.info.metrics
     passed: NDArray[np.bool_] = np.array([result.outcome == "pass" for result in loaded.results])
     pairs = [item for item in weighed if item.axis in numbers and item.target != "passing"]
