@@ -1,14 +1,7 @@
-"""Charts of a report as SVG text: drawn by matplotlib, with the page's own colour for text and axes.
-
-Fonts are the reader's, and whatever matplotlib draws black takes the colour of the text around it: so the same picture is
-right on light, dark and printed pages.
-"""
+"""Charts of a report, as SVG text."""
 
 from __future__ import annotations
 
-import io
-import re
-from collections.abc import Callable
 from typing import Any, Final
 
 import numpy as np
@@ -31,53 +24,12 @@ from tools.config.expect import (
 )  # fmt: skip
 from tools.grading.expressions import Series
 from tools.report.info import FaultStory
+from tools.report.page.drawing import BOUND, FAULT, LINE, WINDOW, paint
 from tools.report.thinning import thin
 
 MAX_POINTS: Final = 1500  # of a line: more cannot be seen on a page
-SIZE: Final = (5.8, 2.3)  # inches
-LINE, BOUND, FAULT, WINDOW = "#2563a8", "#b3261e", "#b45f06", "#8888aa"
 MODE_COLOURS: Final = ("#8a8f98", "#b28704", "#2e7d4f", "#b3261e", "#b45f06")
 MODE_NAMES: Final = ("standby", "detumble", "point", "safe", "degraded")
-
-
-def _paint(draw: Callable[[Any], None], title: str, height: float = SIZE[1]) -> str:
-    """Return the SVG of one panel; `title` is what a screen reader says of it."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    settings: dict[Any, Any] = {
-        "svg.fonttype": "none",
-        "svg.hashsalt": "hilsat",
-        "font.size": 9.0,
-        "axes.spines.top": False,
-        "axes.spines.right": False,
-    }
-    with plt.rc_context(settings):
-        figure, axis = plt.subplots(figsize=(SIZE[0], height), layout="constrained")
-        try:
-            draw(axis)
-            text = io.StringIO()
-            figure.savefig(text, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
-        finally:
-            plt.close(figure)
-    return _adopt(text.getvalue(), title)
-
-
-def _adopt(svg: str, title: str) -> str:
-    """Make a file's SVG part of a page: no prolog, the page's colour and fonts, a name for who cannot see it."""
-    body = svg[svg.index("<svg") :]
-    head_end = body.index(">")
-    view = re.search(r'viewBox="[^"]*"', body[:head_end])
-    body = body[head_end + 1 :]
-    body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
-    body = re.sub(r"font: ([\d.]+px)[^;\"]*", r"font: \1 sans-serif", body)
-    body = body.replace("#000000", "currentColor").replace("stroke: black", "stroke: currentColor")
-    body = re.sub(r"<text ", '<text fill="currentColor" ', body)
-    label = title.replace("&", "&amp;").replace("<", "&lt;").replace('"', "&quot;")
-    head = f'<svg xmlns="http://www.w3.org/2000/svg" {view[0] if view else ""} role="img" aria-label="{label}">'
-    return f"{head}<title>{label}</title>{body}"
 
 
 def draw_signal(series: Series, name: str, unit: str, items: list[Expectation], faults: tuple[FaultStory, ...]) -> str:
@@ -118,7 +70,7 @@ def draw_signal(series: Series, name: str, unit: str, items: list[Expectation], 
         if np.isfinite(values).any()
         else "no number in it"
     )
-    return _paint(draw, f"{name} over time, {ranges}")
+    return paint(draw, f"{name} over time, {ranges}")
 
 
 def _bounds_of(item: Expectation) -> list[float]:
@@ -155,7 +107,7 @@ def draw_faults(faults: tuple[FaultStory, ...], end_s: float) -> str:
         axis.set_xlabel("simulated time [s]")
 
     words = "; ".join(f"{fault.unit} {fault.kind} from {fault.onset_s:g} s" for fault in rows)
-    return _paint(draw, f"Faults over time: {words}", 0.6 + 0.28 * len(rows))
+    return paint(draw, f"Faults over time: {words}", 0.6 + 0.28 * len(rows))
 
 
 def draw_modes(t_s: Any, modes: Any, end_s: float) -> str:
@@ -174,7 +126,7 @@ def draw_modes(t_s: Any, modes: Any, end_s: float) -> str:
         axis.set_xlabel("simulated time [s]")
 
     words = ", ".join(f"{_name_mode(mode)} from {start:g} s" for start, _, mode in spans[:12])
-    return _paint(draw, f"Modes over time: {words}", 1.0)
+    return paint(draw, f"Modes over time: {words}", 1.0)
 
 
 def _name_mode(mode: int) -> str:
@@ -191,6 +143,6 @@ def draw_cycle_times(cycle_us: Any) -> str:
         axis.set_xlabel("time of a cycle [us], the longest 0.1 % in the last bar")
         axis.set_ylabel("cycles")
 
-    return _paint(
+    return paint(
         draw, f"Histogram of cycle times: median {np.median(cycle_us):.0f} us, longest {cycle_us.max():.0f} us"
     )
