@@ -134,6 +134,8 @@ def compare_signals(a: Run, b: Run, topic: str, allowed: Allowance) -> list[Sign
     a.prefetch({topic: fields})
     b.prefetch({topic: fields})
     rows = count_alike(a, b, topic)
+    if not rows:
+        return []
     stamps_ns = a.t_ns(topic)[:rows]
     found = []
     for field in fields:
