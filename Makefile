@@ -34,10 +34,12 @@ test-slow: $(STAMP)
 
 test-all: test test-slow test-vcan test-foxglove test-compiled test-wheel
 
-# The same tests against the compiled build, and the same bytes from both for every scenario.
+# The same tests against the compiled build, and the same bytes from both for every scenario, or those that DIGESTS picks
+# (as pytest's -k does).
+DIGESTS ?=
 test-compiled: compiled
 	HILSAT_BUILD=compiled $(BIN)/python -m pytest -n auto -m "not slow and not vcan and not vcan_host and not compiled"
-	$(BIN)/python -m pytest -n auto -m compiled
+	$(BIN)/python -m pytest -n auto -m compiled -k "$(DIGESTS)"
 
 # A compiled wheel, installed alone, flies.
 test-wheel: $(STAMP)
@@ -69,9 +71,10 @@ lint: $(STAMP)
 coverage: $(STAMP)
 	HILSAT_BUILD=plain $(BIN)/python -m pytest -n auto -m "not slow and not vcan and not vcan_host and not compiled" --cov --cov-report=term --cov-report=html
 
-# What must never fail is covered whole: every line and branch of executive, codec and safe mode.
+# What must never fail is covered whole: every line and branch of executive, codec and safe mode. `make test-slow` tries more
+# examples of the same tests.
 coverage-gate: $(STAMP)
-	HILSAT_BUILD=plain HILSAT_THOROUGH=1 $(BIN)/python -m pytest -q -n auto tests/unit/test_executive.py tests/unit/test_modes.py tests/unit/test_e2e.py \
+	HILSAT_BUILD=plain $(BIN)/python -m pytest -q -n auto tests/unit/test_executive.py tests/unit/test_modes.py tests/unit/test_e2e.py \
 	  tests/property/test_codec.py tests/property/test_usual_batch.py tests/property/test_cycle_fuzz.py \
 	  --cov=fsw.executive --cov=fsw.schedule --cov=fsw.modes --cov=bus.icd.codec --cov=bus.icd.e2e \
 	  --cov-branch --cov-report=term-missing --cov-fail-under=100

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import random
 import struct
 import zlib
@@ -314,7 +315,9 @@ def test_a_picture_of_anything_or_words(tmp_path: Path, capsys: pytest.CaptureFi
     path = write_log(tmp_path / "a.mcap", resolved, faults=(("$\\frac{", "loss", "onset", 10),), ticks=15)
 
     def plot(out: str, force: bool = False) -> int:
-        return plot_verb.run(type("Words", (), {"log": path, "out": tmp_path / out, "force": force})())
+        parser = argparse.ArgumentParser()
+        plot_verb.add_parser(parser.add_subparsers())
+        return plot_verb.run(parser.parse_args(["plot", str(path), "-o", str(tmp_path / out), *["--force"] * force]))
 
     assert plot("a.png") == 0
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")

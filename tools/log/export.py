@@ -4,6 +4,7 @@ hilsat export run.mcap --to csv --topic /truth/attitude > attitude.csv
 hilsat export run.mcap --to csv -o directory            one file for each topic
 hilsat export run.mcap --to npz -o run.npz              all signals; keys like truth.attitude.error_deg
 hilsat export run.mcap --to log -o run.log              frames for canplayer, cantools, SavvyCAN
+hilsat export run.mcap --to scene -o scene.mcap         a copy with a 3D scene for Foxglove, for a log without one
 
 What the log lacks, and topics that cannot be read, are named on stderr. Files that are there already stay as they are.
 """
@@ -33,7 +34,8 @@ from tools.log.outputs import create
 from tools.log.python_can_mcap import iterate_frames
 
 FRAME_WRITERS: Final[dict[str, type[Any]]] = {"log": CandumpWriter, "asc": can.ASCWriter, "blf": can.BLFWriter}
-FORMATS: Final = ("csv", "npz", *FRAME_WRITERS)
+FORMATS: Final = ("csv", "npz", *FRAME_WRITERS, "scene")
+SCENE_PREFIX: Final = "/scene/"  # pictures, not signals: exported only when they are named
 
 
 def add_parser(subparsers: Any) -> None:
@@ -43,7 +45,9 @@ def add_parser(subparsers: Any) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )  # fmt: skip
     parser.add_argument("log", type=Path, help="MCAP file")
-    parser.add_argument("--to", choices=FORMATS, required=True, help="csv, npz: signals; log, asc, blf: frames")
+    parser.add_argument(
+        "--to", choices=FORMATS, required=True, help="csv, npz: signals; log, asc, blf: frames; scene: a log"
+    )
     parser.add_argument("--topic", action="append", default=[], metavar="T", help="only this topic; may be repeated")
     parser.add_argument("-o", "--out", type=Path, help="file, or directory for csv of several topics; csv: stdout")
     parser.add_argument("--force", action="store_true", help="replace files of that name")
@@ -61,9 +65,11 @@ def run(args: argparse.Namespace) -> int:
     if args.to == "csv":
         export_csv(log, args.topic, args.out, args.force)
     elif args.out is None:
-        raise UsageError(f"--to {args.to} needs a file to write: -o FILE.{args.to}")
+        raise UsageError(f"--to {args.to} needs a file to write: -o FILE.{'mcap' if args.to == 'scene' else args.to}")
     elif args.to == "npz":
         export_npz(log, args.topic, args.out, args.force)
+    elif args.to == "scene":
+        export_scene(log, args.out, args.force)
     else:
         export_frames(log, args.topic, args.out, args.to, args.force)
     return 0
@@ -96,7 +102,7 @@ def export_csv(log: Run, topics: list[str], out: Path | None, force: bool = Fals
     except OSError as error:
         raise RecordError(f"{out}: cannot make the directory: {error.strerror}") from None
     done = 0
-    for topic in topics or log.topics:
+    for topic in topics or [name for name in log.topics if not name.startswith(SCENE_PREFIX)]:
         try:
             _write_csv_file(log, topic, out / f"{_name_file(topic)}.csv", force)
             done += 1
@@ -214,3 +220,13 @@ def export_frames(log: Run, topics: list[str], out: Path, form: str, force: bool
     with create(out, log.path, force) as part, FRAME_WRITERS[form](part) as writer:
         for message in iterate_frames(log, [topic.removeprefix("/can/") for topic in topics]):
             writer.on_message_received(message)
+
+
+def export_scene(log: Run, out: Path, force: bool = False) -> None:
+    """Write a copy of the log with the scene of its run."""
+    from tools.foxglove.scene_log import write_copy
+    from tools.grading.grade import scenario_of
+
+    wheels = scenario_of(log, Path(log.path)).scenario.plant.wheels
+    with create(out, Path(log.path), force) as part:
+        write_copy(log, wheels, part)

@@ -8,25 +8,25 @@ from __future__ import annotations
 import contextlib
 import os
 import secrets
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from bus.errors import RecordError, UsageError
 
 
 @contextlib.contextmanager
-def create(out: Path, source: Path, force: bool = False) -> Iterator[Path]:
+def create(out: Path, source: Path | Sequence[Path], force: bool = False) -> Iterator[Path]:
     """A path to write to; what is written there becomes `out` when the body ends well, and goes when it does not.
 
-    source : the file that is read from, which is never replaced
+    source : the file that is read from, or some, which are never replaced
     force  : another file of this name may be replaced
-    Raises UsageError when `out` is there already, or is the source; RecordError when it cannot be written.
+    Raises UsageError when `out` is there already, or is a source; RecordError when it cannot be written.
     """
     try:
         if _is_device(out):
             yield out
             return
-        _refuse(out, source, force)
+        _refuse(out, [source] if isinstance(source, Path) else source, force)
         part = out.parent / f".hilsat-{secrets.token_hex(8)}.part"
         try:
             yield part
@@ -48,8 +48,8 @@ def _is_device(path: Path) -> bool:
     return path.exists() and not path.is_file() and not path.is_dir()
 
 
-def _refuse(out: Path, source: Path, force: bool) -> None:
-    if out.exists() and os.path.samefile(out, source):
+def _refuse(out: Path, sources: Sequence[Path], force: bool) -> None:
+    if out.exists() and any(source.exists() and os.path.samefile(out, source) for source in sources):
         raise UsageError(f"{out}: this is the log that is read; name another file with -o")
     if out.is_dir():
         raise UsageError(f"{out}: this is a directory; name a file with -o")

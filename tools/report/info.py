@@ -59,7 +59,7 @@ class LogInfo:
 def collect_info(run: Run) -> LogInfo:
     """Everything about an opened log that fits on a screen."""
     meta = run.metadata.get("run", {})
-    faults = _tell_faults(run.faults)  # JSON topics first: what is damaged in them is counted as they are read
+    faults = tell_faults(run.faults)  # JSON topics first: what is damaged in them is counted as they are read
     warnings = tuple(
         f"{event['t_ns'] / 1e9:.2f} s  {event['name']}: {event['message']}"
         for event in run.events
@@ -126,8 +126,8 @@ def _read_grade(run: Run) -> tuple[str | None, tuple[int, int] | None, tuple[str
     return outcome, (sum(ok for _, ok in verdicts), len(verdicts)), tuple(name for name, ok in verdicts if not ok)
 
 
-def _tell_faults(records: list[dict[str, Any]]) -> tuple[FaultStory, ...]:
-    """One line a fault, in the order of their first records."""
+def tell_faults(records: list[dict[str, Any]]) -> tuple[FaultStory, ...]:
+    """What became of each fault, in the order of their first records."""
     stories: dict[str, dict[str, Any]] = {}
     times = {"onset_s": None, "effect_s": None, "end_s": None, "by": ""}
     for record in records:

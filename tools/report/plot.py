@@ -11,6 +11,7 @@ import numpy as np
 from bus.errors import RecordError
 from tools.config.scenario import Resolved
 from tools.log.mcap_reader import Run
+from tools.report.thinning import thin
 
 MAX_POINTS = 4000  # per line; more cannot be seen
 MAX_MOMENTS, MAX_WORDS = 200, 12  # faults that are marked, and named at one moment
@@ -59,33 +60,35 @@ def _draw(figure: Any, axes: Any, run: Run, resolved: Resolved) -> None:
     _mark_faults(axes, run.faults)
 
 
-def _read_thinned(run: Run, topic: str, field: str, scale: float = 1.0) -> tuple[Any, Any] | None:
-    """Times [s] and values, shape (n, width), as many as can be seen; None where the log has no such numbers."""
+def _read_columns(run: Run, topic: str, field: str, scale: float = 1.0) -> tuple[Any, Any] | None:
+    """Times [s] and values, shape (n, width); None where the log has no such numbers."""
     if topic not in run.topics:
         return None
     try:
         values, t_ns = run.signals(topic)[field], run.t_ns(topic)
     except (RecordError, KeyError):
         return None
-    step = max(1, t_ns.size // MAX_POINTS)
-    thinned = np.asarray(values[::step], np.float64) * scale
-    return t_ns[::step] * 1e-9, np.clip(thinned.reshape(len(thinned), -1), -LARGEST, LARGEST)
+    table = np.asarray(values, np.float64) * scale
+    return t_ns * 1e-9, np.clip(table.reshape(len(table), -1), -LARGEST, LARGEST)
 
 
 def _lines(
     axis: Any, run: Run, topic: str, field: str, names: tuple[str, ...], scale: float = 1.0, **style: Any
 ) -> None:
-    found = _read_thinned(run, topic, field, scale)
+    found = _read_columns(run, topic, field, scale)
     if found is not None:
         t_s, values = found
         for index, name in enumerate(names[: values.shape[1]]):
-            axis.plot(t_s, values[:, index], label=name, color=COLOURS[index], lw=1.1, **style)
+            pick = thin(values[:, index], MAX_POINTS)
+            axis.plot(t_s[pick], values[pick, index], label=name, color=COLOURS[index], lw=1.1, **style)
 
 
 def _draw_error(axis: Any, run: Run) -> None:
-    found = _read_thinned(run, "/truth/attitude", "error_deg")
+    found = _read_columns(run, "/truth/attitude", "error_deg")
     if found is not None:
-        axis.semilogy(found[0], np.maximum(found[1][:, 0], 1e-6), color="black", lw=1.2)
+        t_s, values = found
+        pick = thin(values[:, 0], MAX_POINTS)
+        axis.semilogy(t_s[pick], np.maximum(values[pick, 0], 1e-6), color="black", lw=1.2)
     for bound in (5.0, 1.0, 0.1):
         axis.axhline(bound, color="grey", lw=0.6, ls=":")
     axis.set_ylabel("pointing error [deg]")

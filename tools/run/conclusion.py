@@ -11,6 +11,7 @@ import numpy as np
 
 from bus.errors import HilsatError
 from tools.config.scenario import Resolved
+from tools.foxglove.scene_log import add_scene, make_scene
 from tools.grading.grade import Grade, format_grade, grade_run, to_json
 from tools.log.mcap_reader import Run, read_run
 from tools.log.mcap_writer import McapWriter
@@ -61,8 +62,8 @@ class Conclusion:
         return "\n".join(lines)
 
 
-def conclude(resolved: Resolved, report: RunReport, draw: bool = True) -> Conclusion:
-    """Grade the log, add the grade to it, draw it, sum it up. A run that broke is summed up as far as it got.
+def conclude(resolved: Resolved, report: RunReport, draw: bool = True, scene: bool = True) -> Conclusion:
+    """Grade the log, add grade and scene to it, draw it, sum it up. A run that broke is summed up as far as it got.
 
     One that broke before its first tick has nothing to sum up: why it broke is all there is to say.
     """
@@ -74,8 +75,11 @@ def conclude(resolved: Resolved, report: RunReport, draw: bool = True) -> Conclu
         result.figures = _sum_up(run, resolved, report)
         result.grade = grade_run(run, resolved)
         if report.exit_code == 0:
-            writer = McapWriter.resume(report.log)
+            shown = make_scene(run, resolved.scenario.plant.wheels) if scene else []
+            writer = McapWriter.resume(report.log)  # from here to close() the file has no end: all is ready before
             writer.add_attachment("grade.json", "application/json", to_json(result.grade).encode())
+            if shown:
+                add_scene(writer, shown)
             writer.close()
         if draw:
             from tools.report.plot import draw_run

@@ -33,6 +33,7 @@ def add_parser(subparsers: Any) -> None:
     add_ground_options(parser)
     parser.add_argument("--out", type=Path, help="directory for the log and the picture (default: runs/NAME-TIME)")
     parser.add_argument("--no-plot", action="store_true", help="draw no picture")
+    parser.add_argument("--no-scene", action="store_true", help="put no 3D scene for Foxglove into the log")
     parser.add_argument("--json", action="store_true", help="print one JSON object on stdout")
     parser.add_argument("-q", "--quiet", action="store_true", help="no progress")
     parser.set_defaults(func=run)
@@ -103,7 +104,7 @@ def _execute(
 def _conclude(args: argparse.Namespace, resolved: Resolved, report: RunReport) -> int:
     from tools.run.conclusion import conclude
 
-    result = conclude(resolved, report, draw=not args.no_plot)
+    result = conclude(resolved, report, draw=not args.no_plot, scene=not args.no_scene)
     if args.json:
         print(json.dumps(result.as_dict(), allow_nan=False))
     elif text := result.as_text():

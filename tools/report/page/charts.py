@@ -13,9 +13,25 @@ from typing import Any, Final
 
 import numpy as np
 
-from tools.config.expect import Above, Below, Equals, Expectation, RmsBelow, RmsEquals, Settles, Within
+from tools.config.expect import (
+    Above,
+    Below,
+    Count,
+    Detects,
+    Equals,
+    Expectation,
+    Isolates,
+    Mean,
+    NoFalseAlarm,
+    Percentile,
+    RmsBelow,
+    RmsEquals,
+    Settles,
+    Within,
+)  # fmt: skip
 from tools.grading.expressions import Series
 from tools.report.info import FaultStory
+from tools.report.thinning import thin
 
 MAX_POINTS: Final = 1500  # of a line: more cannot be seen on a page
 SIZE: Final = (5.8, 2.3)  # inches
@@ -70,8 +86,8 @@ def draw_signal(series: Series, name: str, unit: str, items: list[Expectation], 
     assert t_s is not None
 
     def draw(axis: Any) -> None:
-        step = max(1, t_s.size // MAX_POINTS)
-        shown = _thin(values, step)
+        pick = thin(values, MAX_POINTS)
+        shown = values[pick]
         bounds = [bound for item in items for bound in _bounds_of(item)]
         largest = float(np.nanmax(np.abs(values), initial=0.0))
         # what settles, and what starts far beyond its bounds: on a straight scale nothing is to be seen of them
@@ -81,7 +97,7 @@ def draw_signal(series: Series, name: str, unit: str, items: list[Expectation], 
                 np.nanmin(values, initial=0.0) >= 0.0 and bounds and min(bounds) > 0.0 and largest > 20.0 * max(bounds)
             )
         )
-        axis.plot(t_s[::step], np.maximum(np.abs(shown), 1e-12) if is_log else shown, color=LINE, lw=1.2)
+        axis.plot(t_s[pick], np.maximum(np.abs(shown), 1e-12) if is_log else shown, color=LINE, lw=1.2)
         if is_log:
             axis.set_yscale("log")
         for bound in bounds:
@@ -105,28 +121,22 @@ def draw_signal(series: Series, name: str, unit: str, items: list[Expectation], 
     return _paint(draw, f"{name} over time, {ranges}")
 
 
-def _thin(values: Any, step: int) -> Any:
-    """Every step-th value; of each stretch the one that is largest in magnitude, so that no peak is lost."""
-    if step == 1:
-        return values
-    count = -(-len(values) // step)
-    padded = np.concatenate([values, np.full(count * step - len(values), values[-1])]).reshape(count, step)
-    pick = np.argmax(np.abs(np.nan_to_num(padded)), axis=1)
-    return padded[np.arange(count), pick]
-
-
 def _bounds_of(item: Expectation) -> list[float]:
     match item:
-        case Settles() | Below() | Above():
+        case Settles() | Below() | Above() | RmsBelow() | Percentile() | Count():
+            return [item.bound]
+        case Detects() | Isolates() | NoFalseAlarm():
             return [item.bound]
         case Within():
             return [item.lower, item.upper]
         case Equals():
             return [item.value]
-        case RmsBelow():
-            return [item.bound]
         case RmsEquals():
             return [item.value]
+        case Mean():
+            return [bound for bound in (item.lower, item.upper) if bound is not None]
+        case _:  # an integral, a variation and what is held against another log have no bound on the signal itself
+            return []
 
 
 def draw_faults(faults: tuple[FaultStory, ...], end_s: float) -> str:
