@@ -77,6 +77,34 @@ def test_a_log_is_held_against_a_file(tmp_path: Path, capsys: pytest.CaptureFixt
     assert read_run(log).has("/truth/attitude")
 
 
+LIKE = """
+requirements:
+  - {id: L-1, name: points alike, check: matches, signal: truth.attitude.error_deg, tolerance: 1e-3, unit: deg}
+"""
+
+
+def test_a_log_is_held_against_a_file_and_another_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The file stands behind the log; the same flight matches, another does not, without one nobody knows."""
+    for name, rate in (("a", 0.0), ("b", 0.0), ("c", 0.2)):
+        own = ["duration_s=3", "faults=[]", "expect=[]", f"plant.body.rate_deg_s=[{rate},0,0]"]
+        with Bench.open("zhang2018", own, log=tmp_path / f"{name}.mcap") as bench:
+            bench.run_to_end()
+    (tmp_path / "like.yaml").write_text(LIKE)
+    log, other, third, like = (str(tmp_path / name) for name in ("a.mcap", "b.mcap", "c.mcap", "like.yaml"))
+    assert main(["grade", log, like, "--against", other]) == 0
+    assert "PASS  L-1 points alike" in capsys.readouterr().out
+    assert main(["grade", log, other, like, "--against", third]) == 1
+    assert capsys.readouterr().out.count("FAIL  L-1 points alike") == 2
+    assert main(["grade", log, like]) == 1
+    assert "NOT EXECUTED  L-1 points alike" in capsys.readouterr().out
+    assert main(["grade", like]) == 2
+    assert "there is no log among" in capsys.readouterr().err
+    assert main(["grade", log, like, "--against", like]) == 3
+    words = capsys.readouterr().err
+    assert "like.yaml" in words
+    assert "Traceback" not in words
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [

@@ -10,18 +10,23 @@ import warnings
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from tools.config.expect import SIGNAL_FUNCTIONS
+from tools.config.expect import SIGNAL_FUNCTIONS, condition_of
 from tools.config.signal_names import Topics, check_names
 
 Found = Iterator[tuple[str, str]]  # (key, message)
 
 HOLDING = ("below", "above", "within", "equals")
-TIMES = ("from_s", "until_s", "by_s", "at_s", "not_before_s")
+TIMES = ("from_s", "until_s", "by_s", "at_s", "not_before_s", "within_s")
+EITHER = {"count": ("at_most", "at_least"), "event_count": ("at_most", "at_least"), "mean": ("lower", "upper")}
+ORDERED = (("lower", "upper"), ("at_least", "at_most"))
+NO_CONDITION = "is no condition; it compares, such as fsw.executive.mode == 4"
+NOTHING_SOUND = (NO_CONDITION, "is not an expression")
 LARGEST = 1e12  # of a number in a signal
 
 _ALLOWED_NODES = (
     ast.Expression, ast.BinOp, ast.UnaryOp, ast.Call, ast.Attribute, ast.Name, ast.Load, ast.Constant, ast.Subscript,
     ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow, ast.USub, ast.UAdd,
+    ast.Compare, ast.Eq, ast.NotEq, ast.Lt, ast.LtE, ast.Gt, ast.GtE, ast.BoolOp, ast.And, ast.Or, ast.Not,
 )  # fmt: skip
 
 
@@ -31,12 +36,13 @@ def check_expectation(item: Mapping[str, Any], duration_s: float | None) -> list
     item       : its sound keys and their values, defaults included
     duration_s : of the run; None: not known
     """
-    problems = list(check_signal(item["signal"])) if "signal" in item else []
-    problems += _check_after(item)
+    problems = check_expressions(item)
+    problems += _check_moment(item, "after")
+    if condition_of(item.get("until")) is None:
+        problems += _check_moment(item, "until")
     if item.get("check") == "settles":
         problems += _check_settles(item)
-    if item.get("check") == "within" and _sound(item, "lower", "upper") and item["lower"] > item["upper"]:
-        problems.append(("lower", f"{item['lower']} is above upper, {item['upper']}"))
+    problems += _check_limits(item)
     problems += _check_ends(item, duration_s)
     problems += _check_window(item, duration_s)
     return problems
@@ -46,10 +52,19 @@ def _sound(item: Mapping[str, Any], *keys: str) -> bool:
     return all(key in item for key in keys)
 
 
-def _check_after(item: Mapping[str, Any]) -> Found:
-    word, _, rest = (item.get("after") or "event x").partition(" ")
+def _check_moment(item: Mapping[str, Any], key: str) -> Found:
+    word, _, rest = (item.get(key) or "event x").partition(" ")
     if word not in ("fault", "event") or not rest.strip():
-        yield "after", f"{item['after']!r} is neither `fault NAME` (id, unit or kind) nor `event WORDS`"
+        yield key, f"{item[key]!r} is neither `fault NAME` (id, unit or kind) nor `event WORDS`"
+
+
+def _check_limits(item: Mapping[str, Any]) -> Found:
+    either = EITHER.get(item.get("check", ""))
+    if either is not None and _sound(item, *either) and all(item[key] is None for key in either):
+        yield "check", f"{item['check']} needs {either[0]} or {either[1]}"
+    for low, high in ORDERED:
+        if item.get(low) is not None and item.get(high) is not None and item[low] > item[high]:
+            yield low, f"{item[low]} is above {high}, {item[high]}"
 
 
 def _check_settles(item: Mapping[str, Any]) -> Found:
@@ -87,10 +102,42 @@ def _check_window(item: Mapping[str, Any], duration_s: float | None) -> Found:
 # -- signals -------------------------------------------------------------------------------------------------------
 
 
-def check_signal(signal: str, inside: Topics | None = None) -> list[tuple[str, str]]:
+def check_expressions(item: Mapping[str, Any], inside: Topics | None = None) -> list[tuple[str, str]]:
+    """What is wrong with the signal and the conditions of an expectation: (key, message) for each.
+
+    item, inside : as for `check_expectation` and `check_signal`
+    """
+    problems: list[tuple[str, str]] = []
+    if "signal" in item:
+        problems += check_signal(item["signal"], inside, vector=item.get("check") == "isolates")
+    for key, condition in (("when", item.get("when")), ("until", condition_of(item.get("until")))):
+        if condition is not None:
+            words = check_condition(condition, inside)
+            if key == "until" and words and words[0].startswith(NOTHING_SOUND):
+                words = [f"{condition!r} is neither `fault NAME` nor `event WORDS`, and as a condition it {words[0]}"]
+            problems += [(key, word) for word in words]
+    return problems
+
+
+def check_condition(condition: str, inside: Topics | None = None) -> list[str]:
+    """What is wrong with a condition, in words."""
+    tree, complaint = _parse(condition)
+    if tree is None:
+        return [complaint]
+    body = tree.body
+    compares = isinstance(body, ast.Compare | ast.BoolOp) or (
+        isinstance(body, ast.UnaryOp) and isinstance(body.op, ast.Not)
+    )
+    if not compares:
+        return [NO_CONDITION]
+    return [word for _, word in check_signal(condition, inside)]
+
+
+def check_signal(signal: str, inside: Topics | None = None, *, vector: bool = False) -> list[tuple[str, str]]:
     """What is wrong with a signal expression: (key, message) for each.
 
     inside : fields of the topics that law and detector fill, see `check_names`; None: not known yet
+    vector : whether it has to be one, and not a number
     """
     tree, complaint = _parse(signal)
     if tree is None:
@@ -99,7 +146,7 @@ def check_signal(signal: str, inside: Topics | None = None) -> list[tuple[str, s
     problems = [word for node in nodes if (word := _check_node(node)) is not None]
     if not any(isinstance(node, ast.Attribute) for node in nodes):
         problems.append("names no logged signal, such as truth.attitude.error_deg")
-    return [("signal", word) for word in problems or check_names(tree, inside)]
+    return [("signal", word) for word in problems or check_names(tree, inside, vector=vector)]
 
 
 def _parse(signal: str) -> tuple[ast.Expression | None, str]:
@@ -113,7 +160,7 @@ def _parse(signal: str) -> tuple[ast.Expression | None, str]:
 
 def _check_node(node: ast.AST) -> str | None:
     if not isinstance(node, _ALLOWED_NODES):
-        return f"{type(node).__name__} is not allowed; use + - * / ** [index] and functions"
+        return f"{type(node).__name__} is not allowed; use + - * / ** [index], comparisons and functions"
     if isinstance(node, ast.Constant):
         if type(node.value) not in (int, float):
             return f"{node.value!r} is not a number"

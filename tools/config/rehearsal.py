@@ -14,7 +14,8 @@ import numpy as np
 
 from bus.errors import ConfigError, UsageError
 from bus.settings import KeyPath, Problem
-from tools.config.expect_checks import check_signal
+from tools.config.expect import expressions_of
+from tools.config.expect_checks import check_expressions
 from tools.config.merge import parse_key
 from tools.config.scenario import Scenario
 from tools.config.signal_names import OPEN_TOPICS
@@ -54,9 +55,10 @@ def rehearse(scenario: Scenario) -> list[Problem]:
     if rehearsal.inside is not None:
         words = [topic.rpartition(".")[2] for topic in OPEN_TOPICS]
         for index, item in enumerate(scenario.expect):
-            if not any(word in item.signal for word in words):
+            if not any(word in expression for word in words for expression in expressions_of(item)):
                 continue
-            for key, word in check_signal(item.signal, rehearsal.inside):
+            values = {key: getattr(item, key) for key in item.__dataclass_fields__}
+            for key, word in check_expressions(values, rehearsal.inside):
                 rehearsal.problems.append(Problem(("expect", index, key), word))
     return rehearsal.problems
 

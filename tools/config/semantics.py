@@ -21,6 +21,7 @@ from plant_server.config import PlantConfig
 from plant_server.faults import explain_times, fault_ids
 from plant_server.validation import explain_inertia, validate
 from plant_server.wheels.bank import has_slow_telemetry
+from tools.config.expect import is_name_of
 from tools.config.expect_checks import check_expectation
 from tools.config.wire_checks import check_address, check_ranges
 
@@ -195,8 +196,9 @@ def check_expectations(parts: dict[KeyPath, Any]) -> Problems:
     for index, item in items.items():
         for key, word in check_expectation(item, duration_s):
             yield Problem(("expect", index, key), word)
-        if word := _explain_after(parts, item.get("after")):
-            yield Problem(("expect", index, "after"), word)
+        for key, name in _list_faults_named(item):
+            if word := _explain_fault(parts, name):
+                yield Problem(("expect", index, key), word)
         if "name" not in item:
             continue
         if item["name"] in seen:
@@ -206,21 +208,30 @@ def check_expectations(parts: dict[KeyPath, Any]) -> Problems:
         seen[item["name"]] = index
 
 
-def _explain_after(parts: dict[KeyPath, Any], after: str | None) -> str:
-    """Why an expectation waits for a fault that will not come; empty when it may, also by command."""
-    word, _, name = (after or "").partition(" ")
-    if word != "fault" or parts.get(("inject",), "off") != "off":
+def _list_faults_named(item: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    """Key and name of every fault that an expectation waits for or holds an alarm against."""
+    for key in ("after", "until"):
+        word, _, name = (item.get(key) or "").partition(" ")
+        if word == "fault":
+            yield key, name.strip()
+    if item.get("fault") is not None:
+        yield "fault", item["fault"]
+
+
+def _explain_fault(parts: dict[KeyPath, Any], name: str) -> str:
+    """Why an expectation names a fault that will not come; empty when it may, also by command."""
+    if parts.get(("inject",), "off") != "off":
         return ""
     known = {f"faults[{index}]" for index in range(_length(parts, "faults"))}
     known |= {
         value for path, value in parts.items()
         if len(path) == 3 and path[0] == "faults" and path[2] in ("id", "unit", "kind") and isinstance(value, str)
     }  # fmt: skip
-    if name.strip() in known:
+    if is_name_of(name, known):
         return ""
-    near = nearest(name.strip(), known)
+    near = nearest(name, known)
     hint = f"did you mean {near}? " if near else ""
-    return f"the scenario has no fault {name.strip()}; {hint}there are: {', '.join(sorted(known)) or 'none'}"
+    return f"the scenario has no fault {name}; {hint}there are: {', '.join(sorted(known)) or 'none'}"
 
 
 def check_bus_load(parts: dict[KeyPath, Any]) -> Problems:

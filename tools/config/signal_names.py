@@ -32,10 +32,11 @@ def list_signals() -> dict[str, dict[str, int]]:
     return signals
 
 
-def check_names(tree: ast.Expression, inside: Topics | None = None) -> list[str]:
+def check_names(tree: ast.Expression, inside: Topics | None = None, *, vector: bool = False) -> list[str]:
     """What is wrong with names and shapes in a well-formed signal expression: the first thing found of each.
 
     inside : the fields of OPEN_TOPICS, as far as they have any; None: not known yet
+    vector : whether it has to be one, and not a number
     """
     topics = {**list_signals(), **(inside or {})}
     problems: list[str] = []
@@ -54,7 +55,9 @@ def check_names(tree: ast.Expression, inside: Topics | None = None) -> list[str]
         width = find_shape(tree.body, look_up)
     except ValueError as error:
         return [*problems, str(error)]
-    if not problems and width not in (1, UNKNOWN, CONSTANT):
+    if not problems and vector and width in (1, CONSTANT):
+        problems.append("is a single number, where a vector with an element a unit is needed")
+    if not problems and not vector and width not in (1, UNKNOWN, CONSTANT):
         problems.append(f"is a vector of {width}, where one number is needed; take an element, [0], or norm(...)")
     return problems
 

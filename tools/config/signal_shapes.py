@@ -24,6 +24,10 @@ def find_shape(node: ast.expr, look_up: Callable[[ast.Attribute], Width]) -> Wid
             return find_shape(node.operand, look_up)
         case ast.BinOp():
             return _combine(find_shape(node.left, look_up), find_shape(node.right, look_up))
+        case ast.Compare():
+            return _combine_all([find_shape(part, look_up) for part in (node.left, *node.comparators)])
+        case ast.BoolOp():
+            return _combine_all([find_shape(part, look_up) for part in node.values])
         case ast.Subscript(slice=ast.Constant(value=int(index))):
             return _take(find_shape(node.value, look_up), index)
         case ast.Call(func=ast.Name(id=name)):
@@ -39,6 +43,13 @@ def _combine(left: Width, right: Width) -> Width:
     if left > 1 and right > 1 and left != right:
         raise ValueError(f"a vector of {left} and a vector of {right} do not combine")
     return max(left, right)
+
+
+def _combine_all(widths: list[Width]) -> Width:
+    result = widths[0]
+    for width in widths[1:]:
+        result = _combine(result, width)
+    return result
 
 
 def _take(width: Width, index: int) -> Width:

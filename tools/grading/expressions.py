@@ -39,13 +39,27 @@ class Series:
     values: Floats
 
 
-def evaluate(run: Run, expression: str) -> Series:
-    """The signal that an expression describes, one number per sample.
+COMPARE: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
+    ast.Eq: np.equal,
+    ast.NotEq: np.not_equal,
+    ast.Lt: np.less,
+    ast.LtE: np.less_equal,
+    ast.Gt: np.greater,
+    ast.GtE: np.greater_equal,
+}
+
+
+def evaluate(run: Run, expression: str, *, vector: bool = False) -> Series:
+    """The signal that an expression describes, one number per sample; `vector`: several, shape (n, width).
 
     Raises ConfigError where a topic or field is not in the log (with the near miss), cannot be read, where the result is
     a vector or the expression is none.
     """
     series = evaluate_all(run, expression)
+    if vector:
+        if series.values.ndim != 2:
+            raise ConfigError(f"signal {_shorten(expression)} is a single number, where a vector is needed")
+        return series
     if series.values.ndim != 1:
         raise ConfigError(
             f"signal {_shorten(expression)} is a vector of {series.values.shape[1]}; take an element, [0], or norm(...)"
@@ -102,6 +116,15 @@ def _evaluate(run: Run, node: ast.expr) -> Series:
         return Series(None, np.asarray(node.value, dtype=np.float64))
     if isinstance(node, ast.Attribute):
         return _look_up(run, ast.unparse(node))
+    if isinstance(node, ast.Compare):
+        sides = [_evaluate(run, part) for part in (node.left, *node.comparators)]
+        pairs = zip(node.ops, sides, sides[1:], strict=False)
+        return _join(ast.And(), [_compare(op, left, right) for op, left, right in pairs])
+    if isinstance(node, ast.BoolOp):
+        return _join(node.op, [_evaluate(run, part) for part in node.values])
+    if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
+        inner = _evaluate(run, node.operand)
+        return Series(inner.t_s, _none_of(np.asarray(inner.values == 0.0, np.float64), inner.values))
     if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub | ast.UAdd):
         inner = _evaluate(run, node.operand)
         return Series(inner.t_s, -inner.values if isinstance(node.op, ast.USub) else inner.values)
@@ -133,12 +156,36 @@ def _look_up(run: Run, name: str) -> Series:
     return Series(run.t_ns(topic) * 1e-9, np.asarray(signals[field], dtype=np.float64))
 
 
-def _combine(op: ast.operator, left: Series, right: Series) -> Series:
+def _compare(op: ast.cmpop, left: Series, right: Series) -> Series:
+    """1 where the comparison holds, 0 where not."""
+    if type(op) not in COMPARE:
+        raise ValueError("only == != < <= > >= compare signals")
+    t_s, a, b = _broadcast(left, right)
+    return Series(t_s, _none_of(np.asarray(COMPARE[type(op)](a, b), np.float64), a, b))
+
+
+def _join(op: ast.boolop, parts: list[Series]) -> Series:
+    """All of the conditions, or any of them; none where one of them is none."""
+    result = parts[0]
+    for part in parts[1:]:
+        t_s, a, b = _broadcast(result, part)
+        both = (a != 0.0) & (b != 0.0) if isinstance(op, ast.And) else (a != 0.0) | (b != 0.0)
+        result = Series(t_s, _none_of(np.asarray(both, np.float64), a, b))
+    return result
+
+
+def _broadcast(left: Series, right: Series) -> tuple[Floats | None, Floats, Floats]:
+    """Both on the same time stamps and of shapes that combine."""
     t_s, a, b = _align(left, right)
     if a.ndim == 1 and b.ndim == 2:
         a = a[:, None]
     elif a.ndim == 2 and b.ndim == 1 and t_s is not None:
         b = b[:, None]
+    return t_s, a, b
+
+
+def _combine(op: ast.operator, left: Series, right: Series) -> Series:
+    t_s, a, b = _broadcast(left, right)
     with np.errstate(all="ignore"):
         match op:
             case ast.Add():

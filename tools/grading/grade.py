@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from bus.errors import RecordError
-from tools.config.expect import Expectation
+from tools.config.expect import Expectation, expressions_of
 from tools.config.loader import load_text
 from tools.config.requirements import load_requirements
 from tools.config.scenario import Resolved
@@ -63,8 +63,10 @@ class Grade:
         }
 
 
-def grade_file(path: Path, requirements: Sequence[Path] = ()) -> Grade:
+def grade_file(path: Path, requirements: Sequence[Path] = (), reference: Run | None = None) -> Grade:
     """The grade of a log file against its scenario, and against more requirements from files.
+
+    reference : the log that expectations with `check: matches` compare with
 
     Raises RecordError when it is not a log of ours, ConfigError for its scenario and for the files.
     """
@@ -72,7 +74,7 @@ def grade_file(path: Path, requirements: Sequence[Path] = ()) -> Grade:
     resolved = scenario_of(run, path)
     scenario = resolved.scenario
     more = [item for file in requirements for item in load_requirements(file, scenario.name, scenario.duration_s)]
-    return grade_run(run, resolved, more)
+    return grade_run(run, resolved, more, reference)
 
 
 def scenario_of(run: Run, path: Path, overrides: Sequence[str] = ()) -> Resolved:
@@ -105,15 +107,19 @@ def make_timetable(resolved: Resolved) -> Timetable:
     )
 
 
-def grade_run(run: Run, resolved: Resolved, more: Sequence[Expectation] = ()) -> Grade:
-    """The grade of an opened log. more: what is required beside what its scenario expects."""
+def grade_run(run: Run, resolved: Resolved, more: Sequence[Expectation] = (), reference: Run | None = None) -> Grade:
+    """The grade of an opened log.
+
+    more      : what is required beside what its scenario expects
+    reference : as for `grade_file`
+    """
     scenario = resolved.scenario
     expect = [*scenario.expect, *more]
     timetable = make_timetable(resolved)
-    _prefetch(run, [item.signal for item in expect])
+    _prefetch(run, [expression for item in expect for expression in expressions_of(item)])
     faults = run.faults  # read before the damage is counted
     completeness = check_completeness(run, timetable)
-    verdicts = [judge(run, item, completeness, timetable) for item in expect]
+    verdicts = [judge(run, item, completeness, timetable, reference) for item in expect]
     verdicts += judge_faults(faults, scenario.faults, completeness, timetable)
     if not any(fault.effect.brings_rivals for fault in scenario.faults):
         verdicts.append(judge_senders(run))

@@ -13,7 +13,22 @@ from typing import Any, Final
 
 import numpy as np
 
-from tools.config.expect import Above, Below, Equals, Expectation, RmsBelow, RmsEquals, Settles, Within
+from tools.config.expect import (
+    Above,
+    Below,
+    Count,
+    Detects,
+    Equals,
+    Expectation,
+    Isolates,
+    Mean,
+    NoFalseAlarm,
+    Percentile,
+    RmsBelow,
+    RmsEquals,
+    Settles,
+    Within,
+)  # fmt: skip
 from tools.grading.expressions import Series
 from tools.report.info import FaultStory
 from tools.report.thinning import thin
@@ -127,16 +142,20 @@ def draw_signal(series: Series, name: str, unit: str, items: list[Expectation], 
 
 def _bounds_of(item: Expectation) -> list[float]:
     match item:
-        case Settles() | Below() | Above():
+        case Settles() | Below() | Above() | RmsBelow() | Percentile() | Count():
+            return [item.bound]
+        case Detects() | Isolates() | NoFalseAlarm():
             return [item.bound]
         case Within():
             return [item.lower, item.upper]
         case Equals():
             return [item.value]
-        case RmsBelow():
-            return [item.bound]
         case RmsEquals():
             return [item.value]
+        case Mean():
+            return [bound for bound in (item.lower, item.upper) if bound is not None]
+        case _:  # an integral, a variation and what is held against another log have no bound on the signal itself
+            return []
 
 
 def draw_faults(faults: tuple[FaultStory, ...], end_s: float) -> str:

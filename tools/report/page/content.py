@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from bus.errors import HilsatError
-from tools.config.expect import Expectation
+from tools.config.expect import EventCount, Expectation, Isolates
 from tools.config.scenario import Resolved
 from tools.grading.expressions import evaluate
 from tools.grading.grade import Grade, grade_run, scenario_of
@@ -86,12 +86,13 @@ def _draw_signals(run: Run, resolved: Resolved, info: LogInfo) -> list[Chart]:
     """A picture for every signal that a requirement names, with all that is asked of it."""
     asked: dict[str, list[Expectation]] = {}
     for item in resolved.scenario.expect:
-        asked.setdefault(item.signal, []).append(item)
+        if not isinstance(item, EventCount):
+            asked.setdefault(item.signal, []).append(item)
     found = []
     for signal, items in asked.items():
         unit = next((item.unit for item in items if item.unit), "")
         try:
-            series = evaluate(run, signal)
+            series = evaluate(run, signal, vector=any(isinstance(item, Isolates) for item in items))
         except HilsatError as error:
             found.append(Chart(signal, note=f"not drawn: {error}"))
             continue
