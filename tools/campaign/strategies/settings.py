@@ -28,9 +28,8 @@ class PlanSettings:
 class UntilSettings:
     """Fly the plan in batches, again and again with new seeds, until the pass rate is known well enough.
 
-    The interval is looked at after each batch. `clopper_pearson` is exact for one look; what looking
-    often costs is computed in docs/campaigns.md (0.2 % of 95). `confidence_sequence` holds for any number of looks and
-    needs more runs.
+    The interval is looked at after each batch. `clopper_pearson` is exact for one look; docs/campaigns.md has what
+    looking often costs (0.2 of its 95 %). `confidence_sequence` holds for any number of looks and needs more runs.
     """
 
     kind: Literal["until"]

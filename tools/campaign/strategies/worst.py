@@ -123,4 +123,7 @@ class WorstSearch:
 
 def count_dimensions(space: Space) -> int:
     """How many numbers it takes to say where in the space of the drawn axes a point is."""
-    return sum(not axis.labels for axis in space.axes)
+    given: int | None = getattr(
+        space, "dimensions", None
+    )  # an attitude takes three, a common draw one for several axes
+    return sum(not axis.labels for axis in space.axes) if given is None else given
