@@ -126,7 +126,7 @@ def _check_worst(settings: WorstSettings, axes: Sequence[AxisInfo], metrics: Col
         found.append(("metric", "is given beside requirement; the search goes by one of them"))
     elif settings.metric and settings.metric not in metrics:
         found.append(("metric", _name_unknown(settings.metric, "metric", list(metrics))))
-    if all(axis.labels for axis in axes):
+    if all(axis.labels and axis.kind != "categorical" for axis in axes):
         found.append(("kind", "worst searches drawn axes (uniform, normal, ...), and the campaign has none"))
     return found
 
