@@ -18,15 +18,15 @@ import pytest
 
 from bus.errors import RecordError, UsageError
 from tools.campaign.chosen_logs import check_keeping, choose_logs, rank_worst
-from tools.campaign.crew import Halt
+from tools.campaign.crew import Halt, Order
 from tools.campaign.engine import Conclusion
-from tools.campaign.fly import fly
+from tools.campaign.fly import Flown, fly
 from tools.campaign.job import Job, Metric, make_job
 from tools.campaign.keeping import Store, lock
 from tools.campaign.launch import Options, fly_campaign
 from tools.campaign.plan import Point, RunPlan, derive_seed
 from tools.campaign.pool import Pool, Solo
-from tools.campaign.progress import Silence
+from tools.campaign.progress import Lines, Silence
 from tools.campaign.results import Judged, RunResult, read_info, read_results, read_timings
 from tools.campaign.strategies.settings import PlanSettings
 from tools.log.mcap_reader import read_run
@@ -434,6 +434,42 @@ def test_workers_that_cannot_start_are_told_of(job: Job, tmp_path: Path, monkeyp
 
 
 @pytest.mark.usefixtures("here")
+@pytest.mark.slow
+def test_memory_of_a_worker_is_flat(job: Job, tmp_path: Path) -> None:
+    """800 runs in one worker: once the collector of garbage has found its pace, in some 300, it grows by less than 1 MB."""
+    halt, used = Halt(), []
+
+    def note(flown: Flown) -> None:
+        assert flown.result.outcome in ("pass", "fail")
+        used.append(int(Path(f"/proc/{pool.pids[0]}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6)
+
+    campaign = HandMade(runs=800)
+    words = ("duration_s=0.1", *COMMON[1:])
+    plans = [dataclasses.replace(campaign.plan(n, point), overrides=words) for n, point in enumerate(campaign.points())]
+    pool = Pool(job, tmp_path, 1, None, halt)
+    pool.fly([Order(plan) for plan in plans], note)
+    pool.close()
+    halt.close()
+    assert len(used) == 800
+    assert max(used[400:]) - used[400] < 1.0
+
+
+def test_progress_in_a_file(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Lines for whoever reads them later: how many of how many, how fast, how long yet, and what came of them."""
+    now_s = [100.0]
+    monkeypatch.setattr("time.monotonic", lambda: now_s[0])
+    lines = Lines()
+    lines.expect(50, 10)
+    for number in range(20):
+        now_s[0] += 1.0
+        lines.note(make_result(number, "fail" if number == 3 else "pass"))
+    lines.close()
+    said = capsys.readouterr().err.splitlines()
+    assert said[0] == "  20 of 50 runs, 1/s, about 30 s left: 9 pass, 1 fail"
+    assert said[1] == "  30 of 50 runs, 1/s, about 20 s left: 19 pass, 1 fail"
+    assert len(said) == 2
+
+
 def test_store_takes_the_last_of_a_number(tmp_path: Path, job: Job) -> None:
     """A result that was replaced is there once, in its place."""
     fly_all(HandMade(runs=2), job, tmp_path / "out")

@@ -1,8 +1,8 @@
 """What campaigns cost: runs per second of processor time beside Basilisk's own Monte-Carlo, idle workers, overhead, memory.
 
 Real frames, the real flight software, no logs. Turn about with Basilisk where that is installed (see
-tools/measure/basilisk.py), for a machine's minutes differ. Its pool (2.12) makes new processes for every batch of as many runs
-as it has workers, which costs more than the runs; so what it flies is measured without the pool too.
+tools/measure/basilisk.py), for a machine's minutes differ. Its pool (2.12) makes new processes for every batch of as many
+runs as it has workers, which costs more than the runs; so what it flies is measured without the pool too.
 """
 
 from __future__ import annotations

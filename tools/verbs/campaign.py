@@ -165,6 +165,7 @@ def _tell(args: argparse.Namespace, directory: Path, conclusion: Any, wall_s: fl
     else:
         if runs:
             _show(directory)
-        print(f"{runs} run{'' if runs == 1 else 's'}: {describe_counts(conclusion.counts)}\nresults  {directory}", flush=True)
+        what = "1 run" if runs == 1 else f"{runs} runs"
+        print(f"{what}: {describe_counts(conclusion.counts)}\nresults  {directory}", flush=True)
     if conclusion.signal:
         print(f"hilsat campaign: stopped; go on with: hilsat campaign --resume {directory}", file=sys.stderr)
