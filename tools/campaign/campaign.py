@@ -110,10 +110,16 @@ class Campaign:
 
 def make_overrides(settings: CampaignFile, point: Point) -> tuple[str, ...]:
     """The key=value words of a point. Raises TemplateError."""
-    values = Values(point.values, point.labels)
+    raw = Values(point.values, point.labels)
+    values = Values({name: fill(value, raw) for name, value in point.values.items()}, point.labels)
     words = [f"{key}={_write(render(item, values, (key,)))}" for key, item in settings.set.by_key.items()]
     axes = settings.axes.by_name
-    return (*words, *(f"{axis.key}={_write(point.values[name])}" for name, axis in axes.items() if axis.key))
+    return (*words, *(f"{axis.key}={_write(values.values[name])}" for name, axis in axes.items() if axis.key))
+
+
+def fill(value: Any, raw: Values) -> Any:
+    """The value of an axis, with the axes that are named inside of it: `{kind: loss, effectiveness: $left}`."""
+    return render(value, raw) if isinstance(value, dict | list | str) and "$" in str(value) else value
 
 
 def _write(value: Any) -> str:

@@ -9,6 +9,7 @@ from pathlib import Path
 from bus.errors import UsageError
 from bus.settings import KeyPath, Reading, join_key
 from bus.words import describe, suggest
+from tools.campaign.axes import Axis, Categorical, ListAxis
 from tools.campaign.axis_values import name_value
 from tools.campaign.campaign import Campaign, describe_axes
 from tools.campaign.expansion import BASE, Item, Space, sort_axes
@@ -159,7 +160,8 @@ class _Check:
     def _check_use(self) -> None:
         """Every name that is used is an axis, and every axis goes somewhere."""
         settings = self.settings
-        axes, used = settings.axes.by_name, set()
+        axes = settings.axes.by_name
+        used: set[str] = set()
         for key, item in settings.set.by_key.items():
             for name, path in list_names(item, (key,)):
                 used.add(name)
@@ -167,6 +169,7 @@ class _Check:
                     words = f"there is no axis {name}; {suggest(name, axes)}there are: {', '.join(axes) or 'none'}"
                     self.add(("set", *path), words)
         for name, axis in axes.items():
+            self._check_inside(name, axis, used)
             if formula := getattr(axis, "formula", None):
                 used.update(other for other in axes if other in formula)
             if axis.key and (parse_key(axis.key) is None or "=" in axis.key):
@@ -175,6 +178,16 @@ class _Check:
             if name not in used and not axis.key:
                 words = f"goes nowhere: put ${name} where it belongs under `set`, or give it a `key` of the scenario"
                 self.add(("axes", name), words, at_key=True)
+
+    def _check_inside(self, name: str, axis: Axis, used: set[str]) -> None:
+        """Axes that are named inside the values of another one."""
+        axes = self.settings.axes.by_name
+        for label, value in list_values(axis):
+            for other, path in list_names(value):
+                used.add(other)
+                if other not in axes or other == name:
+                    words = f"{label}: there is no axis {other}; {suggest(other, axes)}there are: {', '.join(axes)}"
+                    self.add(("axes", name, "cases", label, *path), words)
 
     def _check_strategy(self, space: Space) -> None:
         settings = self.settings
@@ -209,6 +222,13 @@ class _Check:
         except UsageError as error:
             self.add(("requirements", index), str(error))
             return None
+
+
+def list_values(axis: Axis) -> tuple[Item, ...]:
+    """Label and value of what an axis can be, where it is written out."""
+    if isinstance(axis, Categorical):
+        return axis.cases.items if axis.cases is not None else ()
+    return axis.list_items() if isinstance(axis, ListAxis) else ()
 
 
 def find_requirements(folder: Path, name: str) -> Path:
