@@ -43,9 +43,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def copy_version(place: Path, **edits: tuple[str, str]) -> Path:
     """The packages of the flight software as another checkout would have them; a__b: text in a/b.py, and the text now."""
     for name in ("bus", "fsw"):
-        shutil.copytree(
-            ROOT / name, place / name, ignore=shutil.ignore_patterns("*.so", "compiled.json", "__pycache__")
-        )
+        shutil.copytree(ROOT / name, place / name, ignore=shutil.ignore_patterns("*.so", "compiled.json"))
     for name, (before, after) in edits.items():
         path = place / (name.replace("__", "/") + ".py")
         text = path.read_text(encoding="utf-8")
@@ -94,6 +92,7 @@ def test_a_version_that_dies_is_named_with_its_tick(
         replay_open_loop(log, home=home)
 
 
+@pytest.mark.slow
 def test_a_version_that_raises_is_named_with_its_tick(log: Path, tmp_path: Path) -> None:
     """What it raised, in one line."""
     edit = (

@@ -118,7 +118,7 @@ class _Comparison:
         if self._edit is not None:
             expected[INPUT_TOPIC] = self._edit(record.sequence, record.data)
         given = self._given = parse_input(record.sequence, expected[INPUT_TOPIC])
-        outcome, heard, ahead = self._outcome, self._heard, self._ahead
+        outcome = self._outcome
         if given.tick != self._last_tick + 1 and given.slips == self._slips:
             raise RecordError(
                 f"{self._run.path}: the inputs of ticks {self._last_tick + 1} to {given.tick - 1} are not in the log; up to "
@@ -128,10 +128,8 @@ class _Comparison:
         cycle = self._again.cycle(given)
         outcome.ticks += 1
         outcome.records += len(expected)
-        heard.note_replayed(cycle.frames)
-        while ahead and ahead[0].sequence <= given.tick:
-            heard.note_recorded(ahead.popleft())
-        self._note(_compare_records(self._run, expected, cycle) or heard.compare(), given)
+        told = self._heard.match(cycle.frames, self._ahead, given.tick)
+        self._note(_compare_records(self._run, expected, cycle) or told, given)
 
     def _note(self, found: Found | None, given: CycleInput) -> None:
         if found is not None:

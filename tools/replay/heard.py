@@ -13,6 +13,7 @@ from tools.log.message_index import DATA_AT
 
 BUS: Final = "/can/bus0"
 SAID_BY_FSW: Final = tuple(sorted(can_id for can_id, message in MESSAGES.items() if message.sender == "FSW"))
+MOST_PLACES: Final = 1000
 PATIENCE: Final = 50  # real time: cycles that a logged frame may be ahead of the one that sent it
 
 
@@ -34,17 +35,44 @@ class HeardFrames:
         self._lossy = run.metadata.get("run", {}).get("clock") == "realtime"
         self._recorded: dict[int, deque[bytes]] = {can_id: deque() for can_id in SAID_BY_FSW}
         self._replayed: dict[int, deque[bytes]] = {can_id: deque() for can_id in SAID_BY_FSW}
+        self._places: dict[bytes, tuple[int, int]] = {}  # by the ids of a tick
+        self._idle = True  # nothing waits for its match
         self.compared = 0
         self.differing = 0
         self.unheard = 0  # frames sent again that the plant did not log
 
+    def match(self, sent: bytes, ahead: deque[LogRecord], tick: int) -> Found | None:
+        """Take the frames that a cycle sends, and those of the bus up to its tick out of `ahead`; the first mismatch."""
+        if self._idle and ahead and ahead[0].sequence == tick and (len(ahead) == 1 or ahead[1].sequence > tick):
+            frames = ahead[0].data[FRAMES_AT - DATA_AT :]
+            start, end = self._find_ours(frames)
+            if end and frames[start:end] == sent:  # nearly always
+                ahead.popleft()
+                self.compared += (end - start) // FRAME_SIZE
+                return None
+        _sort(sent, self._replayed)
+        while ahead and ahead[0].sequence <= tick:
+            self.note_recorded(ahead.popleft())
+        found = self.compare()
+        self._idle = not any(self._recorded.values()) and not any(self._replayed.values())
+        return found
+
+    def _find_ours(self, frames: bytes) -> tuple[int, int]:
+        """From where to where the frames of the flight software are in those of a tick; (0, 0) where others are between."""
+        ids = frames[0::FRAME_SIZE] + frames[1::FRAME_SIZE] + frames[2::FRAME_SIZE] + frames[3::FRAME_SIZE]
+        place = self._places.get(ids)
+        if place is None:
+            starts = range(0, len(frames) - FRAME_SIZE + 1, FRAME_SIZE)
+            ours = [at for at in starts if int.from_bytes(frames[at : at + 4], "little") in self._recorded]
+            apart = not ours or ours[-1] - ours[0] != FRAME_SIZE * (len(ours) - 1)
+            place = (0, 0) if apart else (ours[0], ours[-1] + FRAME_SIZE)
+            if len(self._places) < MOST_PLACES:
+                self._places[ids] = place
+        return place
+
     def note_recorded(self, record: LogRecord) -> None:
         """Take the frames of a tick of the bus."""
         _sort(record.data[FRAMES_AT - DATA_AT :], self._recorded)
-
-    def note_replayed(self, frames: bytes) -> None:
-        """Take the frames of a cycle."""
-        _sort(frames, self._replayed)
 
     def compare(self, at_end: bool = False) -> Found | None:
         """Match what both sides have by now; the first mismatch."""

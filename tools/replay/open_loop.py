@@ -183,10 +183,7 @@ def _fly(run: Run, again: Flown, topics: dict[str, _Topic], outcome: OpenLoop, t
         if name == INPUT_TOPIC:
             cycle = again.cycle(parse_input(record.sequence, record.data))
             outcome.ticks += 1
-            heard.note_replayed(cycle.frames)
-            while ahead and ahead[0].sequence <= record.sequence:
-                heard.note_recorded(ahead.popleft())
-            found = heard.compare()
+            found = heard.match(cycle.frames, ahead, record.sequence)
             if found is not None and not outcome.first_frame:
                 outcome.first_frame = f"{found.where} at {record.sequence * tick_s:g} s"
             for topic_name, topic in topics.items():

@@ -13,7 +13,7 @@ from tools.report.page.drawing import BOUND, LINE, paint
 Floats = NDArray[np.float64]
 BARS: Final = 40
 GOOD, BAD = "#2e7d4f", "#b3261e"
-SMALL: Final = (2.3, 3.6)  # inches: height, width
+HEIGHT, WIDTH = 2.3, 3.6  # inches
 MARGINS: Final = (0.18, 0.97, 0.2, 0.96)
 
 
@@ -46,7 +46,7 @@ def draw_distribution(values: Floats, passed: NDArray[np.bool_], unit: str, boun
         axis.set_ylabel("runs")
 
     words = f"from {values.min():.4g} to {values.max():.4g} {unit}, median {np.median(values):.4g}".strip()
-    return paint(draw, f"Distribution of {name}: {words}, {len(values)} runs", *SMALL, MARGINS)
+    return paint(draw, f"Distribution of {name}: {words}, {len(values)} runs", HEIGHT, width=WIDTH, margins=MARGINS)
 
 
 def draw_scatter(
@@ -66,7 +66,7 @@ def draw_scatter(
         axis.set_ylabel(_say(names[1], units[1]), parse_math=False)
 
     words = f"{names[1]} against {names[0]}: {len(x)} runs, {int((~passed).sum())} of them did not pass"
-    return paint(draw, words, *SMALL, MARGINS)
+    return paint(draw, words, HEIGHT, width=WIDTH, margins=MARGINS)
 
 
 def _say(name: str, unit: str) -> str:
@@ -84,4 +84,4 @@ def draw_trace(trace: Sequence[float | None], name: str) -> str:
         axis.set_ylabel("worst so far")
 
     words = f"from {known[0][1]:.4g} to {known[-1][1]:.4g}" if known else "nothing judged"
-    return paint(draw, f"Worst {name} by generation: {words}", *SMALL, MARGINS)
+    return paint(draw, f"Worst {name} by generation: {words}", HEIGHT, width=WIDTH, margins=MARGINS)

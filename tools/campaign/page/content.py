@@ -26,7 +26,8 @@ from tools.campaign.summary import (
 )
 from tools.campaign.table import list_reasons
 
-MOST_CHARTS: Final = 16  # distributions, and scatters
+MOST_CHARTS: Final = 16  # distributions
+MOST_SCATTERS: Final = 9
 MOST_SHOWN: Final = 60  # rows or columns of a matrix, labels of an axis
 MOST_IMPORTANCES: Final = 8  # targets
 WORST: Final = 10
@@ -38,7 +39,7 @@ _BOUNDS: Final = (  # how bounds are said, see tools/grading/judge.py
 _AROUND: Final = re.compile(rf"{_NUMBER} \+- {_NUMBER}")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Chart:
     """One picture with its caption."""
 
@@ -202,7 +203,7 @@ def _draw_scatters(loaded: Loaded, targets: dict[str, Any], weighed: Sequence[Im
     units |= loaded.info.metrics
     passed: NDArray[np.bool_] = np.array([result.outcome == "pass" for result in loaded.results])
     pairs = [item for item in weighed if item.axis in numbers and item.target != "passing"]
-    for item in sorted(pairs, key=lambda item: -item.weight)[:MOST_CHARTS]:
+    for item in sorted(pairs, key=lambda item: -item.weight)[:MOST_SCATTERS]:
         x, y = numbers[item.axis], targets[item.target]
         valid = np.isfinite(x) & np.isfinite(y)
         svg = charts.draw_scatter(

@@ -24,11 +24,11 @@ from tools.config.expect import (
 )  # fmt: skip
 from tools.grading.expressions import Series
 from tools.report.info import FaultStory
-from tools.report.page.drawing import BOUND, FAULT, LINE, WINDOW, paint
+from tools.report.page.drawing import BOUND, FAULT, LINE, WINDOW, paint, use_log_scale
 from tools.report.thinning import thin
 
 MAX_POINTS: Final = 1500  # of a line: more cannot be seen on a page
-MODE_COLOURS: Final = ("#8a8f98", "#b28704", "#2e7d4f", "#b3261e", "#b45f06")
+MODE_COLOURS: Final = ("#5c626b", "#7a5c00", "#2e7d4f", "#a8221b", "#9c4f08")  # white letters are to be read on them
 MODE_NAMES: Final = ("standby", "detumble", "point", "safe", "degraded")
 
 
@@ -51,7 +51,7 @@ def draw_signal(series: Series, name: str, unit: str, items: list[Expectation], 
         )
         axis.plot(t_s[pick], np.maximum(np.abs(shown), 1e-12) if is_log else shown, color=LINE, lw=1.2)
         if is_log:
-            axis.set_yscale("log")
+            use_log_scale(axis)
         for bound in bounds:
             axis.axhline(bound, color=BOUND, lw=0.9, ls="--")
         for item in items:
@@ -61,8 +61,10 @@ def draw_signal(series: Series, name: str, unit: str, items: list[Expectation], 
         for fault in faults:
             if fault.onset_s is not None:
                 axis.axvline(fault.onset_s, color=FAULT, lw=0.8, ls=":")
+                end = float(t_s[-1]) if fault.end_s is None else fault.end_s
+                axis.axvspan(fault.onset_s, max(end, fault.onset_s), color=FAULT, alpha=0.06, lw=0)
         axis.set_xlim(float(t_s[0]), float(t_s[-1]) if t_s.size > 1 else float(t_s[0]) + 1.0)
-        axis.set_ylabel(f"[{unit}]" if unit else "", parse_math=False)
+        axis.set_title(f"[{unit}]" if unit else "", loc="left", fontsize="medium", pad=3.0, parse_math=False)
         axis.set_xlabel("simulated time [s]")
 
     ranges = (
@@ -107,7 +109,8 @@ def draw_faults(faults: tuple[FaultStory, ...], end_s: float) -> str:
         axis.set_xlabel("simulated time [s]")
 
     words = "; ".join(f"{fault.unit} {fault.kind} from {fault.onset_s:g} s" for fault in rows)
-    return paint(draw, f"Faults over time: {words}", 0.6 + 0.28 * len(rows))
+    longest = max((len(f"{fault.unit} {fault.kind}") for fault in rows), default=0)
+    return paint(draw, f"Faults over time: {words}", 0.6 + 0.28 * len(rows), min(0.2 + 0.068 * longest, 2.2))
 
 
 def draw_modes(t_s: Any, modes: Any, end_s: float) -> str:
@@ -126,7 +129,7 @@ def draw_modes(t_s: Any, modes: Any, end_s: float) -> str:
         axis.set_xlabel("simulated time [s]")
 
     words = ", ".join(f"{_name_mode(mode)} from {start:g} s" for start, _, mode in spans[:12])
-    return paint(draw, f"Modes over time: {words}", 1.0)
+    return paint(draw, f"Modes over time: {words}", 1.0, 0.2)
 
 
 def _name_mode(mode: int) -> str:
@@ -138,10 +141,12 @@ def draw_cycle_times(cycle_us: Any) -> str:
     top = float(np.percentile(cycle_us, 99.9)) if cycle_us.size else 1.0
 
     def draw(axis: Any) -> None:
-        axis.hist(np.minimum(cycle_us, top), bins=60, color=LINE)
-        axis.set_yscale("log")
+        counts, edges = np.histogram(np.minimum(cycle_us, top), bins=60)
+        axis.stairs(np.maximum(counts, 0.5), edges, baseline=0.5, fill=True, color=LINE)
+        use_log_scale(axis)
+        axis.set_ylim(0.5)
         axis.set_xlabel("time of a cycle [us], the longest 0.1 % in the last bar")
-        axis.set_ylabel("cycles")
+        axis.set_title("cycles", loc="left", fontsize="medium", pad=3.0)
 
     return paint(
         draw, f"Histogram of cycle times: median {np.median(cycle_us):.0f} us, longest {cycle_us.max():.0f} us"
