@@ -16,14 +16,17 @@ from bus.errors import ConfigError, UsageError
 from tools.campaign.campaign import Campaign
 from tools.campaign.check import check_campaign
 from tools.campaign.definition import find_campaign, list_campaigns, load_campaign
+from tools.campaign.fly import fly
 from tools.campaign.formulas import FormulaError, parse_formula
 from tools.campaign.inspection import inspect
+from tools.campaign.job import make_job
 from tools.campaign.one_run import load_one, split_word
 from tools.campaign.plan import derive_seed
 from tools.campaign.template import TemplateError, Values, list_names, render
 from tools.config.file_kinds import is_campaign
 from tools.config.loader import load_scenario
 from tools.config.scenario_files import SHIPPED, find_scenario
+from tools.run.bench import Bench
 
 Write = Callable[..., Path]
 ERROR = "truth.attitude.error_deg"
@@ -420,3 +423,72 @@ def test_near_miss_of_a_shipped_name() -> None:
     with pytest.raises(UsageError, match="is not a file and not shipped"):
         find_campaign("no-such-campaign")
     assert find_campaign("x/y.yaml") == Path("x/y.yaml")
+
+
+def test_shipped_campaigns_are_sound() -> None:
+    """Every campaign that ships loads, is called as its file, and flies within the limit that its title names."""
+    assert {"wheel-faults", "gyro-faults", "mixed-100", "shootout"} <= set(list_campaigns())
+    for name in list_campaigns():
+        found = inspect(str(find_campaign(name)), (), 20)
+        assert found.campaign is not None, found.findings
+        assert found.campaign.name == name
+        assert found.campaign.runs
+    assert load_campaign(find_campaign("mixed-100")).runs == 100
+
+
+def test_shootout_is_fair() -> None:
+    """All pairs of law and allocator fly the same cases with the same noise: only fsw.* differs."""
+    campaign = load_campaign(find_campaign("shootout"), ["samples=3"])
+    flown: dict[str, set[tuple[str, ...]]] = {}
+    for number, point in enumerate(campaign.points()):
+        words = campaign.plan(number, point).overrides
+        case = tuple(word for word in words if not word.startswith(("fsw=", "fsw.allocator")))
+        flown.setdefault(f"{point.labels['law']} {point.labels['share']}", set()).add(case)
+    assert len(flown) == 27
+    assert len({frozenset(cases) for cases in flown.values()}) == 1
+    assert all(len(cases) == 3 for cases in flown.values())
+    assert any(word.startswith("seed=") for word in next(iter(next(iter(flown.values())))))
+
+
+def test_values_that_name_other_axes(write: Write) -> None:
+    """An axis that is named inside the value of another one is filled in; one that is not there is refused."""
+    keys = {
+        **GOOD["axes"],
+        "fault": {"cases": {"loss": {"kind": "loss", "effectiveness": "$left"}}},
+        "left": {"uniform": [0.1, 0.9]},
+    }
+    campaign = load_campaign(write(axes=keys))
+    plan = campaign.plan(0, campaign.points()[0])
+    word = next(word for word in plan.overrides if word.startswith("faults="))
+    assert json.loads(word.partition("=")[2])[0]["effectiveness"] == plan.point.values["left"]
+    del keys["left"]
+    assert any("cases.loss.effectiveness: loss: there is no axis left" in line for line in findings(write(axes=keys)))
+
+
+def test_extended_campaign(write: Write, tmp_path: Path) -> None:
+    """A campaign that extends another has its keys, and is another campaign when the other file changes."""
+    write()
+    child = tmp_path / "child.yaml"
+    child.write_text("extends: mine.yaml\nname: child\nsamples: 1\n")
+    campaign = load_campaign(child)
+    assert (campaign.name, campaign.runs) == ("child", 8)
+    write(title="other")
+    assert load_campaign(child).text != campaign.text
+    assert yaml.safe_load(campaign.text) == {"extends": "mine.yaml", "name": "child", "samples": 1}
+
+
+def test_flown_alone_it_is_the_same_run(write: Write) -> None:
+    """A run that is flown from FILE#N has the verdicts and metrics of that run in the campaign, to the last bit."""
+    path = write(
+        set={**GOOD["set"], "duration_s": 3, "expect": [{"name": "e", "check": "below", "signal": ERROR, "bound": 1}]},
+        axes={**GOOD["axes"], "onset_s": {"uniform": [1, 2]}},
+        metrics={"end": {"last": ERROR}},
+    )
+    campaign = load_campaign(path)
+    job = make_job(campaign.name, campaign.bases, metrics=campaign.metrics)
+    flown = fly(job, campaign.plan(5, campaign.points()[5])).result
+    with Bench(load_one(str(path), 5, ["clock.mode=inprocess"]).resolved, log="memory") as bench:
+        bench.step(bench.ticks)
+        last = bench.log.signals("/truth/attitude")["error_deg"][-1]
+    assert flown.metrics["end"] == float(last)
+    assert flown.outcome == "fail"

@@ -19,7 +19,7 @@ from tools.campaign.job import find_base
 from tools.campaign.strategies.settings import WorstSettings, list_problems
 from tools.campaign.template import list_names
 from tools.campaign.trial import try_out
-from tools.config.findings import Finding
+from tools.config.findings import Finding, Source
 from tools.config.merge import Merger, apply_overrides, parse_key
 from tools.config.scenario_files import SHIPPED
 from tools.config.yaml_nodes import Node
@@ -56,11 +56,18 @@ def inspect(path: str, overrides: Sequence[str], most_tried: int) -> Inspection:
     if found:
         return _refuse(path, merger, found)
     check = _Check(path, root, reading.value)
-    campaign = check.make(merger.sources[0].text)
+    campaign = check.make(join_texts(merger.sources))
     tried, more = (0, []) if campaign is None or check.found else try_out(campaign, root, most_tried)
     if check.found or more or campaign is None:
         return _refuse(path, merger, [*check.found, *more])
     return Inspection(path, campaign, (), 0, tried)
+
+
+def join_texts(sources: Sequence[Source]) -> str:
+    """The text of a campaign's file, and as comments behind it of those that it extends: another file, another text."""
+    files = [source for source in sources if not source.overrides]
+    extended = [f"# {source.name}\n" + "".join(f"# {line}\n" for line in source.lines) for source in files[1:]]
+    return "\n".join([files[0].text, *extended])
 
 
 def _refuse(path: str, merger: Merger, findings: list[Finding]) -> Inspection:
