@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from bus.settings import join_key
-from tools.campaign.axes import Axis, Categorical, DrawnAxis
+from tools.campaign.axes import KINDS, Categorical, DrawnAxis
+from tools.campaign.axis_lists import Axis
 from tools.campaign.expansion import BASE, Space
 from tools.campaign.file import CampaignFile
 from tools.campaign.job import Metric
@@ -128,8 +129,6 @@ def _write(value: Any) -> str:
 
 def describe_axes(settings: CampaignFile, space: Space) -> tuple[AxisInfo, ...]:
     """The axes as reports have them, `base` first where there are several."""
-    from tools.campaign.axes import KINDS
-
     places: dict[str, str] = {}
     for key, item in settings.set.by_key.items():
         for name, path in list_names(item, (key,)):

@@ -9,7 +9,8 @@ from pathlib import Path
 from bus.errors import UsageError
 from bus.settings import KeyPath, Reading, join_key
 from bus.words import describe, suggest
-from tools.campaign.axes import Axis, Categorical, ListAxis
+from tools.campaign.axes import Categorical
+from tools.campaign.axis_lists import Axis, ListAxis
 from tools.campaign.axis_values import name_value
 from tools.campaign.campaign import Campaign, describe_axes
 from tools.campaign.expansion import BASE, Item, Space, sort_axes
