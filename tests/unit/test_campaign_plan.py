@@ -286,6 +286,7 @@ def test_formula_without_a_value(text: str, a: Any) -> None:
         ({"metrics": {"m": {"percentile": "truth.attitude.error_deg"}}}, "percentile and percent go together"),
         ({"strategy": SEARCH}, "strategy.axis: no axis is called 'onset'; did you mean 'onset_s'?"),
         ({"strategy": {"kind": "worst"}}, "strategy.kind: worst searches what is drawn; set combine: sampled"),
+        ({"metrics": {"law": {"max": ERROR}}}, "metrics.law: is the name of an axis too"),
         ({"name": "../x"}, "name: \"../x\" is not a name"),
         ({"base": []}, "base: has 0 scenarios"),
         ({"samples": 0}, "samples: 0 is out of range"),

@@ -182,6 +182,11 @@ class _Check:
                 used.update(other for other in axes if other in formula)
             if axis.key and (parse_key(axis.key) is None or "=" in axis.key):
                 self.add(("axes", name, "key"), f"{describe(axis.key)} is not the key of a setting")
+        for name in settings.metrics.by_name:
+            if name in axes:
+                self.add(
+                    ("metrics", name), "is the name of an axis too; columns of tables have one name each", at_key=True
+                )
         for name, axis in axes.items():
             if name not in used and not axis.key:
                 words = f"goes nowhere: put ${name} where it belongs under `set`, or give it a `key` of the scenario"
