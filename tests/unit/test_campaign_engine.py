@@ -162,7 +162,9 @@ def pools(monkeypatch: pytest.MonkeyPatch) -> list[Pool]:
 
 
 def test_a_killed_worker_costs_the_run_it_had(job: Job, tmp_path: Path, pools: list[Pool]) -> None:
-    """SIGKILL from outside: the run that never ends is INFRA and says who ended it; all others are there, once."""
+    """SIGKILL from outside: the run that never ends is INFRA and says who ended it; all others are there, once, with their
+    logs, and nothing is left of its own.
+    """
     out = tmp_path / "out"
 
     def kill_who_hangs(pids: list[int]) -> None:
@@ -174,7 +176,7 @@ def test_a_killed_worker_costs_the_run_it_had(job: Job, tmp_path: Path, pools: l
                 os.kill(worker.popen.pid, signal.SIGKILL)
 
     thread = _while_flying(out, kill_who_hangs, pools)
-    conclusion = fly_all(HandMade(odd={0: ENDLESS}), job, out)
+    conclusion = fly_all(HandMade(odd={0: ENDLESS}), job, out, keep_logs="all")
     thread.join()
     results = read_results(out)
     assert [result.number for result in results] == list(range(6))
@@ -182,6 +184,7 @@ def test_a_killed_worker_costs_the_run_it_had(job: Job, tmp_path: Path, pools: l
     assert "SIGKILL" in results[0].reason
     assert all(result.outcome != "infra" for result in results[1:])
     assert (out / "results.jsonl").read_text().count("\n") == 6
+    assert sorted(path.name for path in (out / "logs").iterdir()) == [f"{number:06d}.mcap" for number in range(1, 6)]
     assert conclusion.exit_code == 3
 
 

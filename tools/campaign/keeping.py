@@ -65,6 +65,7 @@ class Store:
                     yield store
                 finally:
                     stack.close()
+                    store.sweep()
                     store.put_in_order()
 
     def add(self, flown: Flown) -> None:
@@ -106,6 +107,12 @@ class Store:
     def forget(self, numbers: set[int]) -> None:
         """Let these runs be flown again."""
         self.results = {number: result for number, result in self.results.items() if number not in numbers}
+
+    def sweep(self) -> None:
+        """Remove what killed workers left of logs."""
+        for part in (self.directory / LOG_DIR).glob(".*.part"):
+            with contextlib.suppress(OSError):
+                part.unlink()
 
     def put_in_order(self) -> None:
         """Write the results by number, whole or not at all."""
