@@ -10,6 +10,7 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from html.parser import HTMLParser
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -81,12 +82,13 @@ def test_the_axis_that_matters_comes_first(make_results: MakeResults) -> None:
 
 
 def test_worst_runs_come_first(make_results: MakeResults) -> None:
-    """What failed by most is first, infra runs are nowhere; among runs of one bound the order is that of the error."""
+    """What failed by most is first, to the three digits that count; then what passed; infra runs are nowhere."""
     loaded = load(make_results(runs=120, edit=lambda r: make_infra(r) if r.number == 7 else r))
     ranked = rank_worst(loaded.results)
     assert len(ranked) == 119
     margins = [result.verdicts[0].margin or 0.0 for result in ranked if result.outcome == "fail"]
-    assert margins == sorted(margins)
+    assert all(later > earlier - 0.1 for earlier, later in pairwise(margins))
+    assert margins[0] < -5.0 < -0.5 < margins[-1]
     assert [result.outcome for result in ranked] == sorted(result.outcome for result in ranked)
 
 

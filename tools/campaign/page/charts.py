@@ -14,7 +14,7 @@ Floats = NDArray[np.float64]
 BARS: Final = 40
 GOOD, BAD = "#2e7d4f", "#b3261e"
 HEIGHT, WIDTH = 2.3, 3.6  # inches
-MARGINS: Final = (0.18, 0.97, 0.2, 0.96)
+MARGINS: Final = (0.22, 0.97, 0.2, 0.96)
 
 
 def draw_distribution(values: Floats, passed: NDArray[np.bool_], unit: str, bounds: Sequence[float], name: str) -> str:
