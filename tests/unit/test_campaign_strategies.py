@@ -321,6 +321,23 @@ def test_margins_are_comparable() -> None:
     assert normalise_margin(Judged(name="a", outcome="fail", value=None, margin=None), scales) == -1.0 < rising[0]
 
 
+def test_what_is_always_at_its_bound_hides_nothing() -> None:
+    """A requirement whose margin is 0 in each run (no dropped tick), or rounding of a saturated value, is no worst case."""
+    quiet = Judged(name="no tick is missing", outcome="pass", value=0.0, margin=0.0)
+    full = Judged(name="no more torque than there is", outcome="pass", value=0.1, margin=1.4e-17)
+
+    class Housekeeping(Bench):
+        def _answer(self, number: int, point: Point) -> RunResult:
+            result = super()._answer(number, point)
+            return replace(result, verdicts=(quiet, *result.verdicts, replace(full, margin=1e-17 * (number % 3))))
+
+    found = make_strategy(Space(SPHERE)).run(Housekeeping(sphere))
+    values = found["worst"]["values"]
+    assert (values["x"], values["y"]) == pytest.approx((0.7, -1.1), abs=0.02)
+    same = make_strategy(Space(SPHERE)).run(Bench(lambda point, rng: 1.0))
+    assert "ended after 2 generations, the runs of the last came off all alike" in same["summary"][0]
+
+
 # -- indices -------------------------------------------------------------------------------------------------------
 
 
