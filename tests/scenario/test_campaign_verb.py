@@ -239,6 +239,7 @@ def test_killed(flying: tuple[subprocess.Popen[str], Path]) -> None:
     assert [result.number for result in read_results(out)] == list(range(100))
 
 
+@pytest.mark.slow
 def test_nobody_reads_the_table(tmp_path: Path) -> None:
     """`| head` ends it quietly."""
     path = write_file(tmp_path, duration_s=0.1, repeats=10)

@@ -77,28 +77,32 @@ def fly_all(campaign: HandMade, job: Job, out: Path, jobs: int = 2, resume: bool
     return fly_campaign(campaign, job, out, Options(jobs=jobs, **options), Silence(), resume=resume)
 
 
+def fly_here(job: Job, directory: Path, jobs: int, limit_s: float | None, halt: Halt) -> Solo:
+    """In place of a pool: for what has nothing to do with workers, whose start takes a second."""
+    return Solo(job, directory, halt)
+
+
 @pytest.fixture
 def here(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Runs are flown in this process: for what has nothing to do with workers, whose start takes a second."""
-    monkeypatch.setattr(
-        "tools.campaign.launch.Pool", lambda job, directory, jobs, limit_s, halt: Solo(job, directory, halt)
-    )
+    """Runs are flown in this process."""
+    monkeypatch.setattr("tools.campaign.launch.Pool", fly_here)
 
 
 @pytest.fixture(scope="module")
 def whole(job: Job, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The directory of an undisturbed campaign."""
+    """The directory of an undisturbed campaign, flown without workers."""
     out = tmp_path_factory.mktemp("whole") / "campaign"
-    fly_all(HandMade(), job, out)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("tools.campaign.launch.Pool", fly_here)
+        fly_all(HandMade(), job, out)
     return out
 
 
-def test_same_results_whatever_the_number_of_workers(job: Job, whole: Path, tmp_path: Path) -> None:
-    """1, 2 and 4 workers write the same bytes, and each run is what it is when it is flown alone."""
-    expected = (whole / "results.jsonl").read_bytes()
-    for jobs in (1, 4):
-        fly_all(HandMade(), job, tmp_path / str(jobs), jobs)
-        assert (tmp_path / str(jobs) / "results.jsonl").read_bytes() == expected
+@pytest.mark.parametrize("jobs", [2, pytest.param(1, marks=pytest.mark.slow), pytest.param(4, marks=pytest.mark.slow)])
+def test_same_results_whatever_the_number_of_workers(job: Job, whole: Path, tmp_path: Path, jobs: int) -> None:
+    """1, 2 and 4 workers write the same bytes as this process alone, and each run is what it is when it is flown alone."""
+    fly_all(HandMade(), job, tmp_path / "out", jobs)
+    assert (tmp_path / "out/results.jsonl").read_bytes() == (whole / "results.jsonl").read_bytes()
     results = read_results(whole)
     assert [result.number for result in results] == list(range(6))
     assert len({result.seed for result in results}) == 6
@@ -184,7 +188,7 @@ def test_a_killed_worker_costs_the_run_it_had(job: Job, tmp_path: Path, pools: l
 def test_a_run_that_hangs_is_ended(job: Job, whole: Path, tmp_path: Path) -> None:
     """A run that takes longer than the limit is INFRA; the rest is as it would be without it."""
     out = tmp_path / "out"
-    fly_all(HandMade(odd={2: ENDLESS}), job, out, limit_s=1.5)
+    fly_all(HandMade(odd={2: ENDLESS}), job, out, jobs=1, limit_s=1.5)
     results = read_results(out)
     assert results[2].outcome == "infra"
     assert "more than 1.5 s" in results[2].reason
