@@ -536,6 +536,14 @@ def test_csv_holds_every_number_exactly(make_results: MakeResults, capsys: pytes
         assert float(row["wall_s"]) == 0.5
 
 
+def test_lines_of_results_are_alike(make_results: MakeResults) -> None:
+    """Every line is one object with the same keys in the same order, infra runs too: what reads JSON lines makes a table."""
+    directory = make_results(edit=lambda r: make_infra(r) if r.number % 7 == 3 else r)
+    lines = (directory / "results.jsonl").read_text().splitlines()
+    assert len(lines) == 60
+    assert len({tuple(json.loads(line)) for line in lines}) == 1
+
+
 def test_parquet_holds_the_same(make_results: MakeResults) -> None:
     """Columns have types, unknown values are null, and every number is that of the results."""
     parquet = pytest.importorskip("pyarrow.parquet")
