@@ -7,6 +7,9 @@ import io
 import json
 import math
 import re
+import shlex
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -542,6 +545,22 @@ def test_lines_of_results_are_alike(make_results: MakeResults) -> None:
     lines = (directory / "results.jsonl").read_text().splitlines()
     assert len(lines) == 60
     assert len({tuple(json.loads(line)) for line in lines}) == 1
+
+
+@pytest.mark.parametrize("library", ["pandas", "duckdb"])
+def test_one_line_of_other_libraries(library: str, make_results: MakeResults) -> None:
+    """The lines of docs/campaigns.md, where the library is installed: runs by law and outcome are as many as ours."""
+    pytest.importorskip(library)
+    directory = make_results()
+    page = Path(__file__).parents[2].joinpath("docs", "campaigns.md").read_text()
+    (line,) = re.findall(rf"^    ((?:python|duckdb) -c .*{library}.*json.*)$", page, re.MULTILINE)
+    words = [sys.executable if word == "python" else word for word in shlex.split(line.replace("DIR", str(directory)))]
+    if library == "duckdb":
+        words = [sys.executable, "-c", f"import duckdb; print(duckdb.sql({words[-1]!r}))"]
+    out = subprocess.run(words, capture_output=True, text=True, check=True, timeout=120).stdout
+    results = read_results(directory)
+    for law in ("smc", "pid"):
+        assert str(sum(r.labels["law"] == law and r.outcome == "pass" for r in results)) in out
 
 
 def test_parquet_holds_the_same(make_results: MakeResults) -> None:

@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from bus.settings import join_key
-from tools.campaign.axes import Axis, Categorical, DrawnAxis
+from tools.campaign.axes import KINDS, Categorical, DrawnAxis
+from tools.campaign.axis_lists import Axis
 from tools.campaign.expansion import BASE, Space
 from tools.campaign.file import CampaignFile
 from tools.campaign.job import Metric
@@ -110,10 +111,16 @@ class Campaign:
 
 def make_overrides(settings: CampaignFile, point: Point) -> tuple[str, ...]:
     """The key=value words of a point. Raises TemplateError."""
-    values = Values(point.values, point.labels)
+    raw = Values(point.values, point.labels)
+    values = Values({name: fill(value, raw) for name, value in point.values.items()}, point.labels)
     words = [f"{key}={_write(render(item, values, (key,)))}" for key, item in settings.set.by_key.items()]
     axes = settings.axes.by_name
-    return (*words, *(f"{axis.key}={_write(point.values[name])}" for name, axis in axes.items() if axis.key))
+    return (*words, *(f"{axis.key}={_write(values.values[name])}" for name, axis in axes.items() if axis.key))
+
+
+def fill(value: Any, raw: Values) -> Any:
+    """The value of an axis, with the axes that are named inside of it: `{kind: loss, effectiveness: $left}`."""
+    return render(value, raw) if isinstance(value, dict | list | str) and "$" in str(value) else value
 
 
 def _write(value: Any) -> str:
@@ -122,8 +129,6 @@ def _write(value: Any) -> str:
 
 def describe_axes(settings: CampaignFile, space: Space) -> tuple[AxisInfo, ...]:
     """The axes as reports have them, `base` first where there are several."""
-    from tools.campaign.axes import KINDS
-
     places: dict[str, str] = {}
     for key, item in settings.set.by_key.items():
         for name, path in list_names(item, (key,)):

@@ -45,10 +45,13 @@ def draw_normal(u: float, mean: float, sigma: float) -> float:
 
 def draw_truncated_normal(u: float, mean: float, sigma: float, lower: float, upper: float) -> float:
     """Normal, on condition that it is between the ends."""
-    from scipy.stats import truncnorm
+    from scipy.special import ndtr, ndtri
 
-    a, b = (lower - mean) / sigma, (upper - mean) / sigma
-    value = mean + sigma * float(truncnorm.ppf(_inside(u), a, b))
+    a, b, sign = (lower - mean) / sigma, (upper - mean) / sigma, 1.0
+    if a > 0.0:  # far out on the right there are no digits left below 1: draw on the left
+        a, b, sign, u = -b, -a, -1.0, 1.0 - u
+    low = float(ndtr(a))
+    value = mean + sign * sigma * float(ndtri(low + _inside(u) * (float(ndtr(b)) - low)))
     return min(max(value, lower), upper)
 
 

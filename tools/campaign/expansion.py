@@ -8,7 +8,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-from tools.campaign.axes import Axis, Computed, DrawnAxis, ListAxis
+from tools.campaign.axes import Computed, DrawnAxis
+from tools.campaign.axis_lists import Axis, ListAxis
 from tools.campaign.axis_values import name_value
 from tools.campaign.draws import round_all
 from tools.campaign.formulas import Formula, FormulaError

@@ -9,6 +9,8 @@ from pathlib import Path
 from bus.errors import UsageError
 from bus.settings import KeyPath, Reading, join_key
 from bus.words import describe, suggest
+from tools.campaign.axes import Categorical
+from tools.campaign.axis_lists import Axis, ListAxis
 from tools.campaign.axis_values import name_value
 from tools.campaign.campaign import Campaign, describe_axes
 from tools.campaign.expansion import BASE, Item, Space, sort_axes
@@ -18,7 +20,7 @@ from tools.campaign.job import find_base
 from tools.campaign.strategies.settings import WorstSettings, list_problems
 from tools.campaign.template import list_names
 from tools.campaign.trial import try_out
-from tools.config.findings import Finding
+from tools.config.findings import Finding, Source
 from tools.config.merge import Merger, apply_overrides, parse_key
 from tools.config.scenario_files import SHIPPED
 from tools.config.yaml_nodes import Node
@@ -55,11 +57,18 @@ def inspect(path: str, overrides: Sequence[str], most_tried: int) -> Inspection:
     if found:
         return _refuse(path, merger, found)
     check = _Check(path, root, reading.value)
-    campaign = check.make(merger.sources[0].text)
+    campaign = check.make(join_texts(merger.sources))
     tried, more = (0, []) if campaign is None or check.found else try_out(campaign, root, most_tried)
     if check.found or more or campaign is None:
         return _refuse(path, merger, [*check.found, *more])
     return Inspection(path, campaign, (), 0, tried)
+
+
+def join_texts(sources: Sequence[Source]) -> str:
+    """The text of a campaign's file, and as comments behind it of those that it extends: another file, another text."""
+    files = [source for source in sources if not source.overrides]
+    extended = [f"# {source.name}\n" + "".join(f"# {line}\n" for line in source.lines) for source in files[1:]]
+    return "\n".join([files[0].text, *extended])
 
 
 def _refuse(path: str, merger: Merger, findings: list[Finding]) -> Inspection:
@@ -159,7 +168,8 @@ class _Check:
     def _check_use(self) -> None:
         """Every name that is used is an axis, and every axis goes somewhere."""
         settings = self.settings
-        axes, used = settings.axes.by_name, set()
+        axes = settings.axes.by_name
+        used: set[str] = set()
         for key, item in settings.set.by_key.items():
             for name, path in list_names(item, (key,)):
                 used.add(name)
@@ -167,14 +177,30 @@ class _Check:
                     words = f"there is no axis {name}; {suggest(name, axes)}there are: {', '.join(axes) or 'none'}"
                     self.add(("set", *path), words)
         for name, axis in axes.items():
+            self._check_inside(name, axis, used)
             if formula := getattr(axis, "formula", None):
                 used.update(other for other in axes if other in formula)
             if axis.key and (parse_key(axis.key) is None or "=" in axis.key):
                 self.add(("axes", name, "key"), f"{describe(axis.key)} is not the key of a setting")
+        for name in settings.metrics.by_name:
+            if name in axes:
+                self.add(
+                    ("metrics", name), "is the name of an axis too; columns of tables have one name each", at_key=True
+                )
         for name, axis in axes.items():
             if name not in used and not axis.key:
                 words = f"goes nowhere: put ${name} where it belongs under `set`, or give it a `key` of the scenario"
                 self.add(("axes", name), words, at_key=True)
+
+    def _check_inside(self, name: str, axis: Axis, used: set[str]) -> None:
+        """Axes that are named inside the values of another one."""
+        axes = self.settings.axes.by_name
+        for label, value in list_values(axis):
+            for other, path in list_names(value):
+                used.add(other)
+                if other not in axes or other == name:
+                    words = f"{label}: there is no axis {other}; {suggest(other, axes)}there are: {', '.join(axes)}"
+                    self.add(("axes", name, "cases", label, *path), words)
 
     def _check_strategy(self, space: Space) -> None:
         settings = self.settings
@@ -209,6 +235,13 @@ class _Check:
         except UsageError as error:
             self.add(("requirements", index), str(error))
             return None
+
+
+def list_values(axis: Axis) -> tuple[Item, ...]:
+    """Label and value of what an axis can be, where it is written out."""
+    if isinstance(axis, Categorical):
+        return axis.cases.items if axis.cases is not None else ()
+    return axis.list_items() if isinstance(axis, ListAxis) else ()
 
 
 def find_requirements(folder: Path, name: str) -> Path:

@@ -164,7 +164,7 @@ def choose_points(campaign: Campaign, most: int) -> list[tuple[int, Point]]:
         if not axis.labels and points and isinstance(points[0].values[axis.name], int | float):
             by_value = sorted(range(len(points)), key=lambda i, name=axis.name: points[i].values[name])  # type: ignore[misc]
             wanted += [by_value[0], by_value[-1]]
-    step = max(1, len(points) // most)
+    step = max(1, len(points) // max(1, most))
     for number in (*wanted, *range(0, len(points), step)):
         if len(chosen) >= most:
             break

@@ -6,6 +6,8 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from bus.errors import UsageError
+from bus.words import nearest
 from tools.config.check import check
 from tools.config.file_kinds import is_campaign
 from tools.config.scenario_files import find_scenario, list_shipped
@@ -35,9 +37,16 @@ def _check_campaign(path: Path, as_json: bool) -> dict[str, Any] | None:
 
 def find_file(name: str) -> Path:
     """The file of a scenario or campaign. Raises UsageError with the near miss."""
-    if "/" not in name and name not in list_shipped():
+    if (
+        "/" not in name
+        and not name.endswith((".yaml", ".yml"))
+        and not Path(name).exists()
+        and name not in list_shipped()
+    ):
         from tools.campaign.definition import find_campaign, list_campaigns
 
         if name in list_campaigns():
             return find_campaign(name)
+        if (near := nearest(name, list_campaigns())) is not None and nearest(name, list_shipped()) is None:
+            raise UsageError(f"{name!r} is not a file and neither a scenario nor a campaign; did you mean {near}?")
     return find_scenario(name)
