@@ -243,7 +243,7 @@ def test_bars_are_as_high_as_their_counts() -> None:
     heights = [bottom - top for bottom, top in bars]
     assert heights == pytest.approx([heights[0], 0.5 * heights[0]], abs=0.2)
     assert svg.count("stroke-dasharray") == 1
-    assert 'stroke="white"' in svg
+    assert "stroke:var(--paper)" in svg
 
 
 def test_bounds_are_drawn_where_words_and_margins_agree() -> None:

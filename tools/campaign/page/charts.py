@@ -19,7 +19,7 @@ Bools = NDArray[np.bool_]
 BARS: Final = 40
 WIDTH, HEIGHT = 340.0, 210.0
 LEFT, RIGHT, TOP, BOTTOM = 62.0, 332.0, 8.0, 168.0  # of the panel
-BLUE, GOOD, BAD = "#2563a8", "#2e7d4f", "#b3261e"
+LINE, GOOD, BAD, PAPER = "var(--chart-line)", "var(--good)", "var(--bad)", "var(--paper)"  # of the page's style
 TICKS: Final = 6  # about so many
 GRID: Final = 2.0  # points that fall on one half of a unit of the picture are one
 LONGEST: Final = 44  # characters of a label
@@ -116,13 +116,13 @@ def draw_distribution(values: Floats, passed: Bools, unit: str, bounds: Sequence
         f"Distribution of {name}: {words}, {len(values)} runs, {int((~passed).sum())} of them did not pass",
     )  # fmt: skip
     nothing = np.zeros_like(good)
-    panel.add(_outline(panel, edges, nothing, good), f'fill="{GOOD}"')
-    panel.add(_outline(panel, edges, good, good + bad), f'fill="{BAD}"')
-    panel.add(_stripes(panel, edges, good, good + bad), 'stroke="white" stroke-width="1" fill="none"')
+    panel.add(_outline(panel, edges, nothing, good), f'style="fill:{GOOD}"')
+    panel.add(_outline(panel, edges, good, good + bad), f'style="fill:{BAD}"')
+    panel.add(_stripes(panel, edges, good, good + bad), f'style="stroke:{PAPER}" fill="none"')
     for bound in bounds:
         if low <= bound <= high:
             at = float(panel.place_x(bound))
-            panel.add(f"M{at:.1f} {TOP}V{BOTTOM}", f'stroke="{BAD}" stroke-width="1.5" stroke-dasharray="5 3"')
+            panel.add(f"M{at:.1f} {TOP}V{BOTTOM}", f'style="stroke:{BAD}" stroke-width="1.5" stroke-dasharray="5 3"')
     return panel.render()
 
 
@@ -165,13 +165,13 @@ def draw_scatter(x: Floats, y: Floats, passed: Bools, names: tuple[str, str], un
     shown = np.clip(y, low - reach, high + reach)
     size = 4.0 if len(x) < 1000 else 2.5
     dots = "".join(f"M{a:g} {b:g}h0" for a, b in _merge(panel, x[passed], shown[passed]))
-    panel.add(dots, f'stroke="{BLUE}" stroke-width="{size}" stroke-linecap="round" stroke-opacity="0.6"')
+    panel.add(dots, f'style="stroke:{LINE}" stroke-width="{size}" stroke-linecap="round" stroke-opacity="0.6"')
     arm = 0.6 * size
     crosses = "".join(
         f"M{a - arm:g} {b - arm:g}l{2 * arm:g} {2 * arm:g}m0 {-2 * arm:g}l{-2 * arm:g} {2 * arm:g}"
         for a, b in _merge(panel, x[~passed], shown[~passed])
     )
-    panel.add(crosses, f'stroke="{BAD}" stroke-width="0.9" fill="none"')
+    panel.add(crosses, f'style="stroke:{BAD}" stroke-width="0.9" fill="none"')
     return panel.render()
 
 
@@ -196,8 +196,9 @@ def draw_trace(trace: Sequence[float | None], name: str) -> str:
     )  # fmt: skip
     places = [(float(panel.place_x(i)), float(panel.place_y(value))) for i, value in known]
     line = "".join(f"H{x:.1f}V{y:.1f}" if i else f"M{x:.1f} {y:.1f}" for i, (x, y) in enumerate(places))
-    panel.add(line, f'stroke="{BLUE}" stroke-width="1.5" fill="none"')
+    panel.add(line, f'style="stroke:{LINE}" stroke-width="1.5" fill="none"')
     panel.add(
-        "".join(f"M{x:.1f} {y:.1f}h0" for x, y in places), f'stroke="{BLUE}" stroke-width="5" stroke-linecap="round"'
+        "".join(f"M{x:.1f} {y:.1f}h0" for x, y in places),
+        f'style="stroke:{LINE}" stroke-width="5" stroke-linecap="round"',
     )
     return panel.render()
