@@ -216,12 +216,16 @@ def list_requirements(loaded: Loaded) -> list[Requirement]:
 
 
 def rank_worst(results: Sequence[RunResult]) -> list[RunResult]:
-    """Worst first: what failed, what was not executed, what passed, by smallest margin; infra runs are left out."""
+    """Worst first: what failed, what was not executed, what passed; infra runs are left out.
+
+    Each by its smallest margin, to three digits; of equal ones those first that do not meet more requirements.
+    """
     scales = find_scales(results)
 
-    def key(result: RunResult) -> tuple[int, float, int]:
+    def key(result: RunResult) -> tuple[int, float, int, int]:
         margin = smallest_margin(result, scales)
-        return WORST_FIRST.index(result.outcome), 1.0 if margin is None else margin, result.number
+        met = sum(verdict.outcome == "pass" for verdict in result.verdicts)
+        return WORST_FIRST.index(result.outcome), 1.0 if margin is None else round(margin, 3), met, result.number
 
     return sorted((result for result in results if result.outcome != "infra"), key=key)
 

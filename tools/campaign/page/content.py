@@ -74,6 +74,7 @@ class Page:
     importances: dict[str, list[Importance]] = field(default_factory=dict)  # by target
     scatters: list[Chart] = field(default_factory=list)
     search: list[Chart] = field(default_factory=list)
+    constants: list[str] = field(default_factory=list)  # what is one number in all runs, in words
     cost: str = ""
 
 
@@ -90,6 +91,7 @@ def gather(loaded: Loaded, rows: str | None = None, columns: str | None = None) 
     )
     page.axis_tables = list(_list_axis_tables(loaded, page.requirements))
     page.distributions = list(_draw_distributions(loaded, page.requirements))
+    page.constants = list(_list_constants(loaded))
     targets = list_targets(loaded.results, list(loaded.info.metrics))
     weighed = weigh_axes(loaded.results, loaded.info.axes, targets)
     for item in weighed:
@@ -130,7 +132,7 @@ def _list_axis_tables(loaded: Loaded, requirements: Sequence[Requirement]) -> It
 
 
 def _draw_distributions(loaded: Loaded, requirements: Sequence[Requirement]) -> Iterator[Chart]:
-    """Of each requirement's value with its bounds, and of each metric."""
+    """Of each requirement's value with its bounds, and of each metric; what is one number in all runs is no picture."""
     values: dict[str, list[tuple[float, float | None, bool, str]]] = {}
     for result in loaded.results:
         for verdict in result.verdicts:
@@ -142,9 +144,11 @@ def _draw_distributions(loaded: Loaded, requirements: Sequence[Requirement]) -> 
         found = values.get(requirement.key)
         if not found or drawn >= MOST_CHARTS:
             continue
+        numbers = np.array([item[0] for item in found])
+        if np.ptp(numbers) == 0.0:
+            continue
         drawn += 1
         bounds = find_bounds(found)
-        numbers = np.array([item[0] for item in found])
         passed = np.array([item[2] for item in found])
         without = requirement.tally.judged - len(found)
         yield Chart(
@@ -156,9 +160,26 @@ def _draw_distributions(loaded: Loaded, requirements: Sequence[Requirement]) -> 
         yield from _draw_metric(loaded, name, unit)
 
 
+def _list_constants(loaded: Loaded) -> Iterator[str]:
+    values: dict[str, set[float]] = {}
+    units: dict[str, str] = dict(loaded.info.metrics)
+    for result in loaded.results:
+        for verdict in result.verdicts:
+            if verdict.value is not None and verdict.margin is not None:
+                name = f"{verdict.id} {verdict.name}".strip()
+                values.setdefault(name, set()).add(verdict.value)
+                units[name] = verdict.unit
+        for metric, number in result.metrics.items():
+            if number is not None:
+                values.setdefault(metric, set()).add(number)
+    for name, found in values.items():
+        if len(found) == 1:
+            yield f"{name}: {next(iter(found)):.6g} {units.get(name, '')}".strip()
+
+
 def _draw_metric(loaded: Loaded, name: str, unit: str) -> Iterator[Chart]:
     known = [(value, r.outcome == "pass") for r in loaded.results if (value := r.metrics.get(name)) is not None]
-    if known:
+    if len({value for value, _ in known}) > 1:
         numbers, passed = np.array([item[0] for item in known]), np.array([item[1] for item in known])
         without = len(loaded.results) - len(known)
         note = "metric, without a bound" + (f"; {without} runs without a value" if without else "")

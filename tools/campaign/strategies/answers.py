@@ -16,6 +16,7 @@ from tools.campaign.strategies.settings import OUTCOME
 
 DIGITS: Final = 12  # significant digits of a value that a strategy chooses: no last bit that differs between machines
 LOST: Final = -1.0  # normalised margin of a fail without a number, the worst there is
+NOTHING: Final = 1e-9  # of a value, is what rounding makes
 UNKNOWN: Final = 1.0  # normalised margin of what was not executed: nothing was learnt
 
 
@@ -81,28 +82,35 @@ def tally_outcomes(outcomes: Iterable[Outcome]) -> Tally:
 
 
 def find_scales(results: Iterable[RunResult]) -> dict[str, float]:
-    """For each requirement the size of its margins: the median of their magnitudes (1 where that is 0).
+    """For each requirement the size of its margins: the median of their magnitudes.
 
-    Margins come in degrees, seconds and newton metres; as shares of their usual size they can be compared.
+    Margins come in degrees, seconds and newton metres; as shares of their usual size they can be compared. 0 where they
+    are usually nothing beside the values: no dropped tick is 0 from its bound of 0, and says nothing of how good a run is.
     """
     sizes: dict[str, list[float]] = {}
+    values: dict[str, list[float]] = {}
     for result in results:
         for verdict in result.verdicts:
             if verdict.margin is not None:
                 sizes.setdefault(verdict.name, []).append(abs(verdict.margin))
-    return {name: median(found) or 1.0 for name, found in sizes.items()}
+                values.setdefault(verdict.name, []).append(abs(verdict.value or 0.0))
+    scales = {name: median(found) for name, found in sizes.items()}
+    return {name: size if size > NOTHING * median(values[name]) else 0.0 for name, size in scales.items()}
 
 
 def normalise_margin(verdict: Judged, scales: Mapping[str, float]) -> float:
     """margin / (|margin| + scale), between -1 and 1 and rising with the margin.
 
-    -1 for a fail without a margin, 1 for what was not executed.
+    -1 for a fail without a margin; 1 for what was not executed, and for what holds and is always at its bound.
     """
     if verdict.outcome == "not executed":
         return UNKNOWN
     if verdict.margin is None:
         return LOST if verdict.outcome == "fail" else UNKNOWN
-    return verdict.margin / (abs(verdict.margin) + scales.get(verdict.name, 1.0))
+    scale = scales.get(verdict.name, 1.0)
+    if scale == 0.0:
+        return UNKNOWN if verdict.outcome == "pass" else min(0.0, verdict.margin / (abs(verdict.margin) + 1.0))
+    return verdict.margin / (abs(verdict.margin) + scale)
 
 
 def smallest_margin(result: RunResult, scales: Mapping[str, float], requirement: str = "") -> float | None:

@@ -114,6 +114,8 @@ class WorstSearch:
         words = f"worst case of {record.runs} runs: run {best.number}, {what} {value:.4g}, {best.outcome}: {place}"
         if not record.failed:
             words += "; no run failed: that is no proof that none can"
+        if len(record.trace) <= settings.generations and not (settings.stop_at_fail and record.failed):
+            words += f"; ended after {len(record.trace)} generations, the runs of the last came off all alike"
         return {
             **found,
             "worst": {"number": best.number, "value": value, "outcome": best.outcome, "values": dict(best.values)},

@@ -12,7 +12,6 @@ from collections.abc import Callable
 from typing import Any, Final
 
 SIZE: Final = (4.8, 2.1)  # inches: the letters are to be read on a telephone too
-Margins = tuple[float, float, float, float]
 LINE, BOUND, FAULT, WINDOW = "#2563a8", "#b3261e", "#b45f06", "#8888aa"
 PAGE_COLOURS: Final = {LINE: "--chart-line", BOUND: "--chart-bound", FAULT: "--chart-fault", WINDOW: "--chart-window"}
 STYLE: Final[dict[Any, Any]] = {
@@ -26,20 +25,17 @@ def paint(
     title: str,
     height: float = SIZE[1],
     left: float = 0.62,
-    *,
-    width: float = SIZE[0],
-    margins: Margins | None = None,
 ) -> str:
     """Return the SVG of one panel; `title` is what a screen reader says of it. Places in inches, `left` for the labels.
 
-    margins : left, right, bottom, top of the panel as shares of the picture, in place of `left`
     Neither pyplot nor a layout engine: they take longer than the drawing.
     """
     import matplotlib
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
 
-    x0, x1, y0, y1 = margins or (left / width, 1.0 - 0.12 / width, 0.42 / height, 1.0 - 0.26 / height)
+    width = SIZE[0]
+    x0, x1, y0, y1 = left / width, 1.0 - 0.12 / width, 0.42 / height, 1.0 - 0.26 / height
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(width, height))
         FigureCanvasSVG(figure)
