@@ -362,6 +362,18 @@ def test_logs_that_are_kept(job: Job, whole: Path, tmp_path: Path, keep: str, ke
     assert fly_all(HandMade(), job, out, resume=True, keep_logs=keep).flown == 0
 
 
+@pytest.mark.usefixtures("here")
+def test_a_run_that_does_not_repeat_is_found_out(job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Flown again for its log and come out otherwise: that run is INFRA and says so, however it came out first."""
+    counter = iter(range(100))
+    monkeypatch.setattr("tools.campaign.fly.measure_run", lambda run, metrics: {"effort": float(next(counter))})
+    out = tmp_path / "out"
+    conclusion = fly_all(HandMade(runs=3), job, out, keep_logs="worst 1")
+    assert conclusion.exit_code == 3
+    assert conclusion.counts["infra"] == 1
+    assert next(result for result in read_results(out) if result.outcome == "infra").reason.startswith("flown again")
+
+
 def make_result(number: int, outcome: Any, *margins: float) -> RunResult:
     verdicts = tuple(
         Judged(name=f"r{place}", outcome="pass", value=0.0, margin=margin) for place, margin in enumerate(margins)

@@ -11,7 +11,6 @@ import dataclasses
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, Final, Protocol
 
 from bus.errors import RecordError
@@ -22,7 +21,7 @@ from tools.campaign.job import IN_PROCESS, Job
 from tools.campaign.keeping import TRACE_DIR, Store
 from tools.campaign.plan import Point, RunPlan, Strategy
 from tools.campaign.progress import Progress
-from tools.campaign.results import LOG_DIR, RunResult
+from tools.campaign.results import RunResult
 
 OTHERWISE: Final = (
     "flown again for its log, it came out otherwise: this machine does not repeat runs (see hilsat verify)"
@@ -174,8 +173,3 @@ class Engine:
 
 def _name_log(number: int) -> str:
     return f"{number:06d}.mcap"
-
-
-def log_place(directory: Path, number: int) -> Path:
-    """Where the log of a run is, if it was kept."""
-    return directory / LOG_DIR / _name_log(number)

@@ -43,7 +43,6 @@ class Flown:
     timing: Timing
     trace: str = ""  # traceback of what was not foreseen
     log: bytes | None = None  # a log that was made where the campaign's directory is not
-    full_disk: bool = False  # its log could not be written
 
 
 class DivergedError(HilsatError):
