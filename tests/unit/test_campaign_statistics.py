@@ -17,7 +17,10 @@ from tools.campaign.statistics import (
     confidence_sequence,
     difference_interval,
     fisher_exact,
+    least_fisher,
+    least_mcnemar,
     mcnemar_exact,
+    select_possible,
 )
 
 
@@ -65,6 +68,24 @@ def test_holm_by_hand() -> None:
     """Holm's worked example: 0.01, 0.04, 0.03, 0.005 of four tests become 0.03, 0.06, 0.06, 0.02."""
     assert adjust_holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
     assert adjust_holm([]) == []
+
+
+@given(n=st.integers(1, 25), m=st.integers(1, 25), share=st.floats(0, 1))
+def test_least_fisher_is_the_least_of_all_tables(n: int, m: int, share: float) -> None:
+    """Over every table of the same margins no p-value of scipy is smaller, and one is as small."""
+    total = round(share * (n + m))
+    tables = [(k, total - k) for k in range(max(0, total - m), min(n, total) + 1)]
+    values = [scipy.stats.fisher_exact([[s, n - s], [t, m - t]]).pvalue for s, t in tables]
+    s, t = tables[len(tables) // 2]
+    assert least_fisher(Tally(s, n - s), Tally(t, m - t)) == pytest.approx(min(values), rel=1e-6)
+
+
+def test_only_tests_that_can_alarm_are_corrected_for() -> None:
+    """Tarone's rule by hand: of 1, 0.04, 0.02, 0.001 at 5 % two can reach 0.025; hopeless ones alone leave none."""
+    assert select_possible([1.0, 0.04, 0.02, 0.001], 0.05) == [2, 3]
+    assert select_possible([1.0, 1.0, 0.2], 0.05) == []
+    assert select_possible([], 0.05) == []
+    assert [least_mcnemar(n) for n in (0, 1, 6)] == [1.0, 1.0, pytest.approx(mcnemar_exact(6, 0))]
 
 
 def test_difference_as_published() -> None:

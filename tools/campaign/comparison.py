@@ -7,8 +7,8 @@ outcome of the runs and for every requirement that both judge:
     McNemar's exact test    where all runs of the cell match one to one (number, seed and values are the same): stronger,
                             because what makes a run hard is the same on both sides
 
-All p-values of a comparison are corrected together (Holm 1979): with a probability of 95 % there is no false alarm among
-them, however many cells there are.
+All p-values of a comparison that could be significant at all (Tarone 1990) are corrected together (Holm 1979): with a
+probability of 95 % there is no false alarm among them, however many cells there are.
 """
 
 from __future__ import annotations
@@ -27,7 +27,10 @@ from tools.campaign.statistics import (
     adjust_holm,
     difference_interval,
     fisher_exact,
+    least_fisher,
+    least_mcnemar,
     mcnemar_exact,
+    select_possible,
 )
 from tools.campaign.strategies.settings import OUTCOME
 from tools.campaign.summary import Loaded
@@ -86,6 +89,7 @@ class Comparison:
     axes: tuple[str, ...]  # that cells are made of
     changes: list[Change] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    corrected: int = 0  # tests that could be significant at all
 
     def by_verdict(self, *verdicts: Verdict) -> list[Change]:
         """Changes of these verdicts, the least probable first."""
@@ -105,6 +109,7 @@ class Comparison:
             "alpha": self.alpha,
             "axes": list(self.axes),
             "worse": self.is_worse,
+            "corrected": self.corrected,
             "notes": self.notes,
             "changes": [change.as_dict() for change in self.changes],
         }
@@ -214,10 +219,18 @@ def _pair(a: Mapping[int, Any], b: Mapping[int, Any], requirement: str) -> tuple
 
 def _decide(found: Comparison) -> None:
     tested = [change for change in found.changes if change.test]
-    for change, adjusted in zip(tested, adjust_holm([change.p_value for change in tested]), strict=True):
+    chosen = [tested[i] for i in select_possible([_find_least(change) for change in tested], found.alpha)]
+    found.corrected = len(chosen)
+    for change, adjusted in zip(chosen, adjust_holm([change.p_value for change in chosen]), strict=True):
         change.adjusted = adjusted
         if adjusted < found.alpha:
             change.verdict = "worse" if _fell(change) else "better"
+
+
+def _find_least(change: Change) -> float:
+    if change.changed is not None:
+        return least_mcnemar(sum(change.changed))
+    return least_fisher(change.before, change.after)
 
 
 def _fell(change: Change) -> bool:

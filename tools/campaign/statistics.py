@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Final
 
 CONFIDENCE: Final = 0.95
+MOST_TABLES: Final = 2000  # runs of both sides: with more the least p-value is nothing
 BISECTIONS: Final = 60  # halvings of an interval below 1: to the last bit
 
 Interval = tuple[float, float]
@@ -112,6 +113,17 @@ def fisher_exact(a: Tally, b: Tally) -> float:
     return _fisher(a.passed, a.judged, b.passed, b.judged)
 
 
+def least_fisher(a: Tally, b: Tally) -> float:
+    """The least p-value that Fisher's test can give for as many runs and as many passes in all; 0 for thousands of runs."""
+    if not a.judged or not b.judged:
+        return 1.0
+    if a.judged + b.judged > MOST_TABLES:
+        return 0.0 if 0 < a.passed + b.passed < a.judged + b.judged else 1.0
+    total = a.passed + b.passed
+    ends = {max(0, total - b.judged), min(a.judged, total)}
+    return min(_fisher(k, a.judged, total - k, b.judged) for k in ends)
+
+
 def _fisher(s: int, n: int, t: int, m: int) -> float:
     """The hypergeometric tables of s of n and t of m; as scipy.stats.fisher_exact, without its 100 us a call."""
     total = s + t
@@ -141,6 +153,24 @@ def mcnemar_exact(lost: int, won: int) -> float:
     fewer = min(lost, won)
     tail = sum(math.exp(_log_choose(changed, k) - changed * math.log(2.0)) for k in range(fewer + 1))
     return min(1.0, 2.0 * tail)
+
+
+def least_mcnemar(changed: int) -> float:
+    """The least p-value that McNemar's test can give when so many pairs changed."""
+    return min(1.0, 2.0 ** (1 - min(changed, 1000)))
+
+
+def select_possible(least: Sequence[float], alpha: float) -> list[int]:
+    """Which tests are worth correcting for: those that could be significant at all (Tarone 1990).
+
+    least : the least p-value that each could give, from the numbers of runs, passes or changes, which side is better unknown
+    Returns their places: the k tests that can reach alpha / k, for the smallest such k.
+    """
+    for k in range(1, len(least) + 1):
+        found = [i for i, p in enumerate(least) if p <= alpha / k]
+        if len(found) <= k:
+            return found
+    return list(range(len(least)))
 
 
 def adjust_holm(p_values: Sequence[float]) -> list[float]:

@@ -191,8 +191,9 @@ def list_changes(comparison: Comparison, everything: bool) -> Iterator[Grid]:
     lines = [
         f"before {comparison.before}",
         f"after  {comparison.after}",
-        f"{len(tests)} tests ({pairs} of runs that match one to one by McNemar, {len(tests) - pairs} by Fisher), "
-        f"corrected together (Holm) at {100.0 * comparison.alpha:g} %",
+        f"{len(tests)} tests ({pairs} of runs that match one to one by McNemar, {len(tests) - pairs} by Fisher)",
+        f"{comparison.corrected} of them can differ beyond chance and are corrected together (Holm) at "
+        f"{100.0 * comparison.alpha:g} %",
         f"{len(worse)} worse, {len(better)} better, {len(lost)} not judged any more",
         *comparison.notes,
     ]
