@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 
+import can
 import numpy as np
 import pytest
 from mcap.reader import make_reader
@@ -20,6 +21,7 @@ from bus.settings import build, plain
 from fsw.config import FswConfig
 from tools.cli import main
 from tools.log.mcap_reader import read_run
+from tools.log.python_can_mcap import McapLogWriter
 from tools.replay.picture import Series, choose_signals
 from tools.replay.process import leave_out_defaults
 from tools.run.bench import Bench
@@ -110,6 +112,7 @@ def test_a_version_without_what_it_is_fed_by_is_named(log: Path, tmp_path: Path)
         replay_open_loop(log, home=home)
 
 
+@pytest.mark.slow
 def test_a_version_that_lacks_a_setting_flies_where_it_is_at_its_default(log: Path, tmp_path: Path) -> None:
     """Left out, it is what that version always does; set to something else, it is refused by its name."""
     home = copy_version(
@@ -254,6 +257,16 @@ def test_garbage_ends_in_one_line(log: Path, tmp_path: Path, share: float, capsy
     assert "Traceback" not in said.err
     assert len(said.err.splitlines()) <= 1
     assert said.err or "differences" in said.out
+
+
+def test_a_log_of_frames_alone_is_no_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """It says so, and what can be done with it."""
+    path = tmp_path / "frames.mcap"
+    with McapLogWriter(str(path)) as writer:
+        writer.on_message_received(can.Message(timestamp=1.0, arbitration_id=1, data=[1], is_extended_id=False))
+    assert main(["replay", str(path)]) == 3
+    assert "no scenario.yaml is attached" in (words := capsys.readouterr().err)
+    assert "--to" in words
 
 
 def test_a_directory_stands_for_its_runs(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
