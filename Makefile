@@ -7,7 +7,7 @@ SCENARIO ?= zhang2018
 # Most tests start Python again: without byte code kept, each of them would compile everything once more.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: run setup test test-slow test-all test-vcan test-foxglove test-compiled test-wheel lint coverage coverage-gate compiled plain clean
+.PHONY: run setup test test-slow test-all test-vcan test-foxglove test-browser test-compiled test-wheel lint coverage coverage-gate compiled plain clean
 
 run: $(STAMP)
 	$(BIN)/hilsat run $(SCENARIO)
@@ -27,18 +27,18 @@ $(STAMP): pyproject.toml
 	@touch $(STAMP)
 
 test: $(STAMP)
-	$(BIN)/python -m pytest -n auto -m "not slow and not vcan and not vcan_host and not compiled"
+	$(BIN)/python -m pytest -n auto -m "not slow and not vcan and not vcan_host and not compiled and not browser"
 
 test-slow: $(STAMP)
-	HILSAT_THOROUGH=1 $(BIN)/python -m pytest -n auto -m "(slow or hypothesis) and not vcan and not vcan_host and not compiled"
+	HILSAT_THOROUGH=1 $(BIN)/python -m pytest -n auto -m "(slow or hypothesis) and not vcan and not vcan_host and not compiled and not browser"
 
-test-all: test test-slow test-vcan test-foxglove test-compiled test-wheel
+test-all: test test-slow test-vcan test-foxglove test-browser test-compiled test-wheel
 
 # The same tests against the compiled build, and the same bytes from both for every scenario, or those that DIGESTS picks
 # (as pytest's -k does).
 DIGESTS ?=
 test-compiled: compiled
-	HILSAT_BUILD=compiled $(BIN)/python -m pytest -n auto -m "not slow and not vcan and not vcan_host and not compiled"
+	HILSAT_BUILD=compiled $(BIN)/python -m pytest -n auto -m "not slow and not vcan and not vcan_host and not compiled and not browser"
 	$(BIN)/python -m pytest -n auto -m compiled -k "$(DIGESTS)"
 
 # A compiled wheel, installed alone, flies.
@@ -64,12 +64,19 @@ test-foxglove: $(STAMP)
 	$(BIN)/hilsat run zhang2018 --no-plot -q --out $(VENV)/foxglove/log >/dev/null
 	node $(VENV)/foxglove/read_log.mjs $(VENV)/foxglove/log/run.mcap
 
+# Pages in a real browser: the machine's own Chromium, else one that playwright brings.
+test-browser: $(STAMP)
+	@command -v chromium >/dev/null || command -v chromium-browser >/dev/null || command -v google-chrome >/dev/null \
+	  || $(BIN)/playwright install chromium \
+	  || { echo "there is no browser and none can be fetched: sudo apt-get install chromium" >&2; exit 2; }
+	$(BIN)/python -m pytest -q -m browser
+
 lint: $(STAMP)
 	$(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/mypy && $(BIN)/lint-imports
 
 # Lines are counted in sources: compiled modules have none.
 coverage: $(STAMP)
-	HILSAT_BUILD=plain $(BIN)/python -m pytest -n auto -m "not slow and not vcan and not vcan_host and not compiled" --cov --cov-report=term --cov-report=html
+	HILSAT_BUILD=plain $(BIN)/python -m pytest -n auto -m "not slow and not vcan and not vcan_host and not compiled and not browser" --cov --cov-report=term --cov-report=html
 
 # What must never fail is covered whole: every line and branch of executive, codec and safe mode. `make test-slow` tries more
 # examples of the same tests.

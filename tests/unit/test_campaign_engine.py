@@ -166,7 +166,7 @@ def test_a_killed_worker_costs_the_run_it_had(job: Job, tmp_path: Path, pools: l
         while time.monotonic() < until and len(read_results(out)) < 5:
             time.sleep(0.05)
         for worker in pools[0]._workers:
-            if worker.order is not None:
+            if worker.orders:
                 os.kill(worker.popen.pid, signal.SIGKILL)
 
     thread = _while_flying(out, kill_who_hangs, pools)

@@ -10,16 +10,17 @@ import pytest
 from bus.errors import ConfigError
 from fsw.telemetry import SOURCE as FSW_SOURCE
 from plant_server.truth import SOURCE as PLANT_SOURCE
-from tools.campaign.fly import keep_run
+from tools.campaign.fly import keep_run, list_wanted
+from tools.campaign.job import Job
 from tools.campaign.kept_run import Keeper
 from tools.config.loader import load_scenario
 from tools.config.scenario import Resolved
 from tools.config.scenario_files import find_scenario, list_shipped
-from tools.grading.expressions import name_signals
 from tools.grading.grade import grade_run
 from tools.log.mcap_reader import Run
 from tools.run.bench import Bench
 
+NO_JOB = Job(name="", bases={})
 DURATION_S = 3.0
 FAULT = "[{id: early, unit: wheel.2, kind: loss, effectiveness: 0.5, at_s: 1}]"
 # of every sort of check and signal: across topics, slower topics, vectors, rates, after a fault, and one that is not there
@@ -30,7 +31,11 @@ EXPECT = """[
  {name: d, check: above, signal: fsw.control.margin, bound: 0, after: "event fault onset"},
  {name: e, check: below, signal: abs(rate(fsw.attitude.error_deg)), bound: 1},
  {name: f, check: within, signal: "fsw.wheel_health.kind[0]", lower: 0, upper: 9, until_s: 2},
- {name: g, check: below, signal: plant.channel.accepted, bound: 10}]"""
+ {name: g, check: below, signal: plant.channel.accepted, bound: 10},
+ {name: h, check: event_count, event: fault, at_most: 2},
+ {name: i, check: count, signal: truth.attitude.error_deg, bound: 9, of: samples, at_most: 2, when: fsw.executive.mode > 0},
+ {name: j, check: no_false_alarm, signal: max(fsw.fdi.wheel_alarm), bound: 0.5},
+ {name: k, check: percentile, signal: fsw.attitude.error_deg, share: 50, bound: 1.0e+9, until: "event fault onset"}]"""
 
 
 def load_short(name: str) -> Resolved:
@@ -49,7 +54,7 @@ def load_short(name: str) -> Resolved:
 
 
 def list_signals(resolved: Resolved) -> list[tuple[str, str]]:
-    return [name for item in resolved.scenario.expect for name in name_signals(item.signal)]
+    return list_wanted(NO_JOB, resolved, ())
 
 
 def log_run(resolved: Resolved) -> Run:

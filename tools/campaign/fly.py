@@ -22,7 +22,7 @@ from tools.campaign.kept_run import Keeper
 from tools.campaign.metrics import list_signals, measure_run
 from tools.campaign.plan import RunPlan
 from tools.campaign.results import Judged, RunResult, Timing
-from tools.config.expect import Expectation
+from tools.config.expect import Expectation, expressions_of
 from tools.config.scenario import Resolved
 from tools.grading.expressions import name_signals
 from tools.grading.grade import Grade, grade_run, to_json
@@ -190,7 +190,8 @@ def is_sound(bench: Bench) -> bool:
 def list_wanted(job: Job, resolved: Resolved, more: Iterable[Expectation]) -> list[tuple[str, str]]:
     """Topic and field of every signal that requirements and metrics name."""
     items = (*resolved.scenario.expect, *more)
-    return [*(name for item in items for name in name_signals(item.signal)), *list_signals(job.metrics)]
+    words = [expression for item in items for expression in expressions_of(item)]
+    return [*(name for expression in words for name in name_signals(expression)), *list_signals(job.metrics)]
 
 
 def judge_log(job: Job, plan: RunPlan, path: Path, resolved: Resolved, named: str) -> RunResult:

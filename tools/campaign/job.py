@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -52,13 +53,19 @@ class Job:
         text = self.bases.get(plan.base)
         if text is None:
             raise UsageError(f"run {plan.number}: the base {plan.base} is not one of this campaign")
-        words = list(plan.overrides)
-        if not any(word.partition("=")[0].strip() == "seed" for word in words):
-            words.append(f"seed={plan.seed}")
-        words.append(f"clock.mode={self.clock}")
+        words = [*plan.overrides, f"clock.mode={self.clock}"]
         if self.bus is not None:
             words.append(f"bus.address={self.bus}")
-        return load_text(text, plan.base, words, files=False)
+        resolved = _load(text, plan.base, tuple(words))
+        if any(word.partition("=")[0].strip() == "seed" for word in words):
+            return resolved
+        seeded = dataclasses.replace(resolved.scenario, seed=plan.seed)
+        return Resolved(seeded, resolved.path, resolved.sources)
+
+
+@lru_cache(maxsize=64)  # repeats differ in their seeds alone
+def _load(text: str, name: str, words: tuple[str, ...]) -> Resolved:
+    return load_text(text, name, words, files=False)
 
 
 def make_job(

@@ -6,6 +6,7 @@ A worker asks for a run when it is free. One that dies or hangs costs the run th
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import socket
 import subprocess
@@ -26,6 +27,7 @@ from tools.campaign.job import Job
 from tools.campaign.results import Timing
 from tools.run.children import end_with_parent
 
+SHORT_S: Final = 0.2  # shorter runs are handed out one ahead: the way there and back would tell
 START_S: Final = 60.0  # how long a worker may take to be ready
 MOST_DEATHS: Final = 3  # workers in a row that die before they are ready
 WORDS: Final = 300  # characters of a dead worker's last words that are told
@@ -46,16 +48,18 @@ class Worker:
         finally:
             theirs.close()
         self.connection = Connection(mine.detach())
-        self.order: Order | None = None
+        self.orders: deque[Order] = deque()  # the one it flies, and what it goes on with
         self.ready = False
         self.since_s = time.monotonic()  # of what it is about
         self.dead = False
         with contextlib.suppress(OSError):
             self.connection.send((job, directory))
 
-    def begin(self, order: Order) -> None:
+    def give(self, order: Order) -> None:
         """Hand it a run. A worker that is gone is found out when it is listened to."""
-        self.order, self.since_s = order, time.monotonic()
+        if not self.orders:
+            self.since_s = time.monotonic()
+        self.orders.append(order)
         with contextlib.suppress(OSError):
             self.connection.send(order)
 
@@ -96,6 +100,7 @@ class Pool:
         self._job, self._directory, self._jobs, self._limit_s, self._halt = job, directory, jobs, limit_s, halt
         self._workers: list[Worker] = []
         self._waiting: deque[Order] = deque()
+        self._mean_s = math.inf  # wall time of a run, lately
         self._deaths = 0  # in a row, before being ready
         self._on_done: Callable[[Flown], None] = lambda flown: None
 
@@ -125,10 +130,10 @@ class Pool:
             with contextlib.suppress(OSError):
                 worker.connection.close()
         for worker in workers:
-            worker.end(kill=worker.order is not None or not worker.ready)
+            worker.end(kill=bool(worker.orders) or not worker.ready)
 
     def _flying(self) -> list[Worker]:
-        return [worker for worker in self._workers if worker.order is not None]
+        return [worker for worker in self._workers if worker.orders]
 
     def _hire(self) -> None:
         wanted = 0 if self._halt.asked else min(self._jobs, len(self._waiting) + len(self._flying()))
@@ -139,11 +144,14 @@ class Pool:
                 raise RecordError(f"cannot start a worker: {error.strerror or error}; try fewer with -j") from None
 
     def _hand_out(self) -> None:
-        if self._halt.asked:
-            return
         for worker in self._workers:
-            if worker.ready and worker.order is None and self._waiting:
-                worker.begin(self._waiting.popleft())
+            self._supply(worker)
+
+    def _supply(self, worker: Worker) -> None:
+        """Give a worker its next run; where runs are short and many are left, one more to go on with."""
+        ahead = 2 if self._mean_s < SHORT_S and len(self._waiting) > 2 * self._jobs else 1
+        while worker.ready and self._waiting and len(worker.orders) < ahead and not self._halt.asked:
+            worker.give(self._waiting.popleft())
 
     def _listen(self) -> None:
         """Wait until somebody has something to say, or is due; take what has been said."""
@@ -157,9 +165,12 @@ class Pool:
             if worker.dead:
                 self._bury(worker, worker.end())
             elif isinstance(said, Flown):
-                worker.order = None
-                if worker.ready and self._waiting and not self._halt.asked:
-                    worker.begin(self._waiting.popleft())  # before anything else, so that it does not wait for us
+                worker.orders.popleft()
+                worker.since_s = time.monotonic()
+                self._mean_s = (
+                    said.timing.wall_s if math.isinf(self._mean_s) else (0.9 * self._mean_s + 0.1 * said.timing.wall_s)
+                )
+                self._supply(worker)  # before anything else, so that it does not wait for us
                 self._on_done(said)
             else:
                 worker.ready, self._deaths = True, 0
@@ -173,7 +184,7 @@ class Pool:
         """When a worker is taken to hang, of the monotonic clock."""
         if not worker.ready:
             return worker.since_s + START_S
-        return None if self._limit_s is None or worker.order is None else worker.since_s + self._limit_s
+        return None if self._limit_s is None or not worker.orders else worker.since_s + self._limit_s
 
     def _end_late(self) -> None:
         for worker in list(self._workers):
@@ -183,10 +194,11 @@ class Pool:
                 self._bury(worker, describe_late(self._limit_s) if worker.ready else words)
 
     def _bury(self, worker: Worker, words: str) -> None:
-        """A worker is gone: so is the run that it had."""
+        """A worker is gone: so is the run that it had. What it had not begun is somebody else's."""
         self._workers.remove(worker)
-        order, worker.order = worker.order, None
-        if order is not None:
+        if worker.orders:
+            order = worker.orders.popleft()
+            self._waiting.extendleft(reversed(worker.orders))
             wall_s = time.monotonic() - worker.since_s
             name = f"{os.uname().nodename}:{worker.popen.pid}"
             timing = Timing(number=order.plan.number, wall_s=wall_s, cpu_s=0.0, ticks=0, worker=name)

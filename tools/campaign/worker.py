@@ -6,6 +6,7 @@ socket is closed.
 
 from __future__ import annotations
 
+import gc
 import signal
 import sys
 from multiprocessing.connection import Connection
@@ -33,6 +34,8 @@ def serve(connection: Connection) -> None:
     from tools.campaign.job import Job
     from tools.campaign.results import LOG_DIR
 
+    gc.collect()
+    gc.freeze()  # what was imported stays for good, and need not be looked through again and again
     try:
         job: Job
         directory: Path

@@ -7,8 +7,6 @@ written; 130 and 143 stopped: `--resume DIR` goes on.
 from __future__ import annotations
 
 import argparse
-import importlib
-import importlib.util
 import json
 import os
 import sys
@@ -18,16 +16,16 @@ from pathlib import Path
 from typing import Any
 
 from bus.errors import UsageError
-from tools.campaign.launch import MOST_JOBS
+from tools.verbs import campaign_results as results
 
-RESULTS_MODULE = "tools.verbs.campaign_results"
 CLOCKS = ("inprocess", "lockstep", "realtime")
+SHOWN = 5  # worst runs in the table at the end
 OTHERS = ("report", "diff", "show", "export")  # what is done with results: words that are no file
 
 
 def expand(words: list[str]) -> list[str]:
     """The words behind `campaign`: a file is run."""
-    if not words or words[0] in OTHERS or words[0] in ("-h", "--help"):
+    if words and words[0] in (*OTHERS, "-h", "--help"):
         return words
     return ["run", *words]
 
@@ -40,8 +38,7 @@ def add_parser(subparsers: Any) -> None:
     )  # fmt: skip
     inner = parser.add_subparsers(metavar="FILE | WORD", required=True)
     _add_run(inner)
-    if importlib.util.find_spec(RESULTS_MODULE) is not None:
-        importlib.import_module(RESULTS_MODULE).add_parser(inner)
+    results.add_parser(inner)
 
 
 def _add_run(subparsers: Any) -> None:
@@ -58,7 +55,7 @@ def _add_run(subparsers: Any) -> None:
         type=int,
         default=None,
         metavar="N",
-        help=f"runs at a time, 1 to {MOST_JOBS} (default: one a processor)",
+        help="runs at a time (default: one a processor)",
     )
     parser.add_argument(
         "--keep-logs", metavar="WHICH", help="none, failures, all, or 'worst N' (default: as the file says)"
@@ -146,6 +143,14 @@ def _read(args: argparse.Namespace) -> _Asked:
     return _Asked(load_campaign(path, overrides), path, overrides, noted)
 
 
+def _show(directory: Path) -> None:
+    """The tables of `hilsat campaign show`, shorter."""
+    from tools.campaign.summary import load
+    from tools.campaign.table import list_grids, print_grids
+
+    print_grids(list(list_grids(load(directory), None, None, SHOWN)))
+
+
 def _tell(args: argparse.Namespace, directory: Path, conclusion: Any, wall_s: float) -> None:
     """What came of it, on stdout; how to go on, on stderr."""
     from tools.campaign.progress import describe_counts
@@ -158,6 +163,8 @@ def _tell(args: argparse.Namespace, directory: Path, conclusion: Any, wall_s: fl
         }  # fmt: skip
         print(json.dumps(summary, allow_nan=False), flush=True)
     else:
+        if runs:
+            _show(directory)
         print(f"{runs} runs: {describe_counts(conclusion.counts)}\nresults  {directory}", flush=True)
     if conclusion.signal:
         print(f"hilsat campaign: stopped; go on with: hilsat campaign --resume {directory}", file=sys.stderr)

@@ -1,14 +1,7 @@
-"""Charts of a report as SVG text: drawn by matplotlib, with the page's own colour for text and axes.
-
-Fonts are the reader's, and whatever matplotlib draws black takes the colour of the text around it: so the same picture is
-right on light, dark and printed pages.
-"""
+"""Charts of a report, as SVG text."""
 
 from __future__ import annotations
 
-import io
-import re
-from collections.abc import Callable
 from typing import Any, Final
 
 import numpy as np
@@ -31,53 +24,12 @@ from tools.config.expect import (
 )  # fmt: skip
 from tools.grading.expressions import Series
 from tools.report.info import FaultStory
+from tools.report.page.drawing import BOUND, FAULT, LINE, WINDOW, paint, use_log_scale
 from tools.report.thinning import thin
 
 MAX_POINTS: Final = 1500  # of a line: more cannot be seen on a page
-SIZE: Final = (5.8, 2.3)  # inches
-LINE, BOUND, FAULT, WINDOW = "#2563a8", "#b3261e", "#b45f06", "#8888aa"
-MODE_COLOURS: Final = ("#8a8f98", "#b28704", "#2e7d4f", "#b3261e", "#b45f06")
+MODE_COLOURS: Final = ("#5c626b", "#7a5c00", "#2e7d4f", "#a8221b", "#9c4f08")  # white letters are to be read on them
 MODE_NAMES: Final = ("standby", "detumble", "point", "safe", "degraded")
-
-
-def _paint(draw: Callable[[Any], None], title: str, height: float = SIZE[1]) -> str:
-    """Return the SVG of one panel; `title` is what a screen reader says of it."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    settings: dict[Any, Any] = {
-        "svg.fonttype": "none",
-        "svg.hashsalt": "hilsat",
-        "font.size": 9.0,
-        "axes.spines.top": False,
-        "axes.spines.right": False,
-    }
-    with plt.rc_context(settings):
-        figure, axis = plt.subplots(figsize=(SIZE[0], height), layout="constrained")
-        try:
-            draw(axis)
-            text = io.StringIO()
-            figure.savefig(text, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
-        finally:
-            plt.close(figure)
-    return _adopt(text.getvalue(), title)
-
-
-def _adopt(svg: str, title: str) -> str:
-    """Make a file's SVG part of a page: no prolog, the page's colour and fonts, a name for who cannot see it."""
-    body = svg[svg.index("<svg") :]
-    head_end = body.index(">")
-    view = re.search(r'viewBox="[^"]*"', body[:head_end])
-    body = body[head_end + 1 :]
-    body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
-    body = re.sub(r"font: ([\d.]+px)[^;\"]*", r"font: \1 sans-serif", body)
-    body = body.replace("#000000", "currentColor").replace("stroke: black", "stroke: currentColor")
-    body = re.sub(r"<text ", '<text fill="currentColor" ', body)
-    label = title.replace("&", "&amp;").replace("<", "&lt;").replace('"', "&quot;")
-    head = f'<svg xmlns="http://www.w3.org/2000/svg" {view[0] if view else ""} role="img" aria-label="{label}">'
-    return f"{head}<title>{label}</title>{body}"
 
 
 def draw_signal(series: Series, name: str, unit: str, items: list[Expectation], faults: tuple[FaultStory, ...]) -> str:
@@ -99,7 +51,7 @@ def draw_signal(series: Series, name: str, unit: str, items: list[Expectation], 
         )
         axis.plot(t_s[pick], np.maximum(np.abs(shown), 1e-12) if is_log else shown, color=LINE, lw=1.2)
         if is_log:
-            axis.set_yscale("log")
+            use_log_scale(axis)
         for bound in bounds:
             axis.axhline(bound, color=BOUND, lw=0.9, ls="--")
         for item in items:
@@ -109,8 +61,10 @@ def draw_signal(series: Series, name: str, unit: str, items: list[Expectation], 
         for fault in faults:
             if fault.onset_s is not None:
                 axis.axvline(fault.onset_s, color=FAULT, lw=0.8, ls=":")
+                end = float(t_s[-1]) if fault.end_s is None else fault.end_s
+                axis.axvspan(fault.onset_s, max(end, fault.onset_s), color=FAULT, alpha=0.06, lw=0)
         axis.set_xlim(float(t_s[0]), float(t_s[-1]) if t_s.size > 1 else float(t_s[0]) + 1.0)
-        axis.set_ylabel(f"[{unit}]" if unit else "", parse_math=False)
+        axis.set_title(f"[{unit}]" if unit else "", loc="left", fontsize="medium", pad=3.0, parse_math=False)
         axis.set_xlabel("simulated time [s]")
 
     ranges = (
@@ -118,7 +72,7 @@ def draw_signal(series: Series, name: str, unit: str, items: list[Expectation], 
         if np.isfinite(values).any()
         else "no number in it"
     )
-    return _paint(draw, f"{name} over time, {ranges}")
+    return paint(draw, f"{name} over time, {ranges}")
 
 
 def _bounds_of(item: Expectation) -> list[float]:
@@ -155,7 +109,8 @@ def draw_faults(faults: tuple[FaultStory, ...], end_s: float) -> str:
         axis.set_xlabel("simulated time [s]")
 
     words = "; ".join(f"{fault.unit} {fault.kind} from {fault.onset_s:g} s" for fault in rows)
-    return _paint(draw, f"Faults over time: {words}", 0.6 + 0.28 * len(rows))
+    longest = max((len(f"{fault.unit} {fault.kind}") for fault in rows), default=0)
+    return paint(draw, f"Faults over time: {words}", 0.6 + 0.28 * len(rows), min(0.2 + 0.068 * longest, 2.2))
 
 
 def draw_modes(t_s: Any, modes: Any, end_s: float) -> str:
@@ -174,7 +129,7 @@ def draw_modes(t_s: Any, modes: Any, end_s: float) -> str:
         axis.set_xlabel("simulated time [s]")
 
     words = ", ".join(f"{_name_mode(mode)} from {start:g} s" for start, _, mode in spans[:12])
-    return _paint(draw, f"Modes over time: {words}", 1.0)
+    return paint(draw, f"Modes over time: {words}", 1.0, 0.2)
 
 
 def _name_mode(mode: int) -> str:
@@ -186,11 +141,13 @@ def draw_cycle_times(cycle_us: Any) -> str:
     top = float(np.percentile(cycle_us, 99.9)) if cycle_us.size else 1.0
 
     def draw(axis: Any) -> None:
-        axis.hist(np.minimum(cycle_us, top), bins=60, color=LINE)
-        axis.set_yscale("log")
+        counts, edges = np.histogram(np.minimum(cycle_us, top), bins=60)
+        axis.stairs(np.maximum(counts, 0.5), edges, baseline=0.5, fill=True, color=LINE)
+        use_log_scale(axis)
+        axis.set_ylim(0.5)
         axis.set_xlabel("time of a cycle [us], the longest 0.1 % in the last bar")
-        axis.set_ylabel("cycles")
+        axis.set_title("cycles", loc="left", fontsize="medium", pad=3.0)
 
-    return _paint(
+    return paint(
         draw, f"Histogram of cycle times: median {np.median(cycle_us):.0f} us, longest {cycle_us.max():.0f} us"
     )

@@ -55,8 +55,13 @@ class Section:
     timelines: list[Chart] = field(default_factory=list)
     cycles: Chart | None = None
     counters: list[tuple[str, str, int]] = field(default_factory=list)  # side, what, how many
+    zeros: list[str] = field(default_factory=list)  # what was counted and never happened
     load: str = ""
     events: list[tuple[float, str, str]] = field(default_factory=list)  # s, who, what
+
+    def charts(self) -> list[Chart]:
+        """All pictures, in the order of the page."""
+        return [*self.signals, *self.timelines, *([self.cycles] if self.cycles else [])]
 
 
 def gather(path: Path, number: int) -> Section:
@@ -69,7 +74,9 @@ def gather(path: Path, number: int) -> Section:
     section.signals = _draw_signals(run, resolved, info)
     section.timelines = _draw_timelines(run, info)
     section.cycles = _draw_cycles(run)
-    section.counters = list(_read_counters(run))
+    counted = list(_read_counters(run))
+    section.counters = [row for row in counted if row[2]]
+    section.zeros = [f"{side} {what}" for side, what, count in counted if not count]
     section.load = _describe_load(run, resolved)
     section.events = [(e["t_ns"] / 1e9, e["name"], e["message"]) for e in run.events][:500]
     return section
