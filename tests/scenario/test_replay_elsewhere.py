@@ -4,7 +4,9 @@ changed in it."""
 from __future__ import annotations
 
 import json
+import math
 import shutil
+import struct
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
@@ -75,6 +77,18 @@ def test_the_same_version_in_a_directory_differs_in_nothing(log: Path, capsys: p
     """Exit code 0, and it says that it is an open loop and of what."""
     assert main(["replay", str(log), "--fsw", str(ROOT)]) == 0
     assert f"open loop with the flight software of {ROOT}: 0 of" in capsys.readouterr().out
+
+
+def test_values_that_are_no_numbers_are_json_all_the_same(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A recorded value edited to NaN: a divergence with its bits, in JSON that any reader takes."""
+
+    def edit(topic: str, data: bytes) -> bytes:
+        return data[:12] + struct.pack("<d", math.nan) + data[20:] if topic == "/fsw/control" else data
+
+    assert main(["replay", "--json", str(rewrite(log, log.with_name("nan.mcap"), edit_message=edit))]) == 1
+    words = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
+    assert words["first"]["recorded"][0] == "nan"
+    assert words["first"]["recorded_bits"].startswith("7ff8000000000000 ")
 
 
 def test_a_version_that_dies_is_named_with_its_tick(
@@ -151,8 +165,13 @@ def test_a_directory_without_flight_software_is_refused(
 # -- logs of another version ---------------------------------------------------------------------------------------
 
 
-def rewrite(source: Path, target: Path, edit: Callable[[str, str, bytes], bytes]) -> Path:
-    """The same log by an outside library, with other files and schemas: edit(what, name, data)."""
+def rewrite(
+    source: Path,
+    target: Path,
+    edit: Callable[[str, str, bytes], bytes] = lambda what, name, data: data,
+    edit_message: Callable[[str, bytes], bytes] = lambda topic, data: data,
+) -> Path:
+    """The same log by an outside library, with other files and schemas, edit(what, name, data), and messages."""
     with source.open("rb") as reading, target.open("wb") as writing:
         reader, writer = make_reader(reading), Writer(writing)
         writer.start()
@@ -172,9 +191,8 @@ def rewrite(source: Path, target: Path, edit: Callable[[str, str, bytes], bytes]
             data = edit("file", file.name, file.data)
             writer.add_attachment(file.create_time, file.log_time, file.name, file.media_type, data)
         for _, channel, message in reader.iter_messages(log_time_order=False):
-            writer.add_message(
-                channels[channel.id], message.log_time, message.data, message.publish_time, message.sequence
-            )
+            data = edit_message(channel.topic, bytes(message.data))
+            writer.add_message(channels[channel.id], message.log_time, data, message.publish_time, message.sequence)
         writer.finish()
     return target
 
