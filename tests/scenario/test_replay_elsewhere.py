@@ -4,11 +4,14 @@ changed in it."""
 from __future__ import annotations
 
 import json
+import math
 import shutil
+import struct
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 
+import can
 import numpy as np
 import pytest
 from mcap.reader import make_reader
@@ -20,6 +23,7 @@ from bus.settings import build, plain
 from fsw.config import FswConfig
 from tools.cli import main
 from tools.log.mcap_reader import read_run
+from tools.log.python_can_mcap import McapLogWriter
 from tools.replay.picture import Series, choose_signals
 from tools.replay.process import leave_out_defaults
 from tools.run.bench import Bench
@@ -75,6 +79,18 @@ def test_the_same_version_in_a_directory_differs_in_nothing(log: Path, capsys: p
     assert f"open loop with the flight software of {ROOT}: 0 of" in capsys.readouterr().out
 
 
+def test_values_that_are_no_numbers_are_json_all_the_same(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A recorded value edited to NaN: a divergence with its bits, in JSON that any reader takes."""
+
+    def edit(topic: str, data: bytes) -> bytes:
+        return data[:12] + struct.pack("<d", math.nan) + data[20:] if topic == "/fsw/control" else data
+
+    assert main(["replay", "--json", str(rewrite(log, log.with_name("nan.mcap"), edit_message=edit))]) == 1
+    words = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
+    assert words["first"]["recorded"][0] == "nan"
+    assert words["first"]["recorded_bits"].startswith("7ff8000000000000 ")
+
+
 def test_a_version_that_dies_is_named_with_its_tick(
     log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -110,6 +126,7 @@ def test_a_version_without_what_it_is_fed_by_is_named(log: Path, tmp_path: Path)
         replay_open_loop(log, home=home)
 
 
+@pytest.mark.slow
 def test_a_version_that_lacks_a_setting_flies_where_it_is_at_its_default(log: Path, tmp_path: Path) -> None:
     """Left out, it is what that version always does; set to something else, it is refused by its name."""
     home = copy_version(
@@ -148,8 +165,13 @@ def test_a_directory_without_flight_software_is_refused(
 # -- logs of another version ---------------------------------------------------------------------------------------
 
 
-def rewrite(source: Path, target: Path, edit: Callable[[str, str, bytes], bytes]) -> Path:
-    """The same log by an outside library, with other files and schemas: edit(what, name, data)."""
+def rewrite(
+    source: Path,
+    target: Path,
+    edit: Callable[[str, str, bytes], bytes] = lambda what, name, data: data,
+    edit_message: Callable[[str, bytes], bytes] = lambda topic, data: data,
+) -> Path:
+    """The same log by an outside library, with other files and schemas, edit(what, name, data), and messages."""
     with source.open("rb") as reading, target.open("wb") as writing:
         reader, writer = make_reader(reading), Writer(writing)
         writer.start()
@@ -169,9 +191,8 @@ def rewrite(source: Path, target: Path, edit: Callable[[str, str, bytes], bytes]
             data = edit("file", file.name, file.data)
             writer.add_attachment(file.create_time, file.log_time, file.name, file.media_type, data)
         for _, channel, message in reader.iter_messages(log_time_order=False):
-            writer.add_message(
-                channels[channel.id], message.log_time, message.data, message.publish_time, message.sequence
-            )
+            data = edit_message(channel.topic, bytes(message.data))
+            writer.add_message(channels[channel.id], message.log_time, data, message.publish_time, message.sequence)
         writer.finish()
     return target
 
@@ -254,6 +275,16 @@ def test_garbage_ends_in_one_line(log: Path, tmp_path: Path, share: float, capsy
     assert "Traceback" not in said.err
     assert len(said.err.splitlines()) <= 1
     assert said.err or "differences" in said.out
+
+
+def test_a_log_of_frames_alone_is_no_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """It says so, and what can be done with it."""
+    path = tmp_path / "frames.mcap"
+    with McapLogWriter(str(path)) as writer:
+        writer.on_message_received(can.Message(timestamp=1.0, arbitration_id=1, data=[1], is_extended_id=False))
+    assert main(["replay", str(path)]) == 3
+    assert "no scenario.yaml is attached" in (words := capsys.readouterr().err)
+    assert "--to" in words
 
 
 def test_a_directory_stands_for_its_runs(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final, Protocol
 
+from bus.telemetry.packing import PREFIX
 from fsw.config import FswConfig
 from tools.log.message_index import DATA_AT, RECORD_HEAD
 from tools.replay.feeder import Feeder
@@ -65,11 +66,11 @@ class RecordSorter:
     def sort(self, data: bytes) -> dict[str, bytes]:
         """Topic -> message data, of Message records that lie end to end."""
         found: dict[str, bytes] = {}
-        names, at, end = self._names, 0, len(data)
-        while at + DATA_AT <= end:
-            size = RECORD_HEAD + int.from_bytes(data[at + 1 : at + RECORD_HEAD], "little")
-            name = names.get(data[at + 9] | data[at + 10] << 8)
-            if name is not None:
-                found[name] = data[at + DATA_AT : at + size]
-            at += size
+        names, at, end, unpack = self._names, 0, len(data), PREFIX.unpack_from
+        while at < end:
+            _, size, channel = unpack(data, at)
+            after = at + RECORD_HEAD + size
+            if channel in names:
+                found[names[channel]] = data[at + DATA_AT : after]
+            at = after
         return found

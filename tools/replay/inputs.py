@@ -16,7 +16,7 @@ from bus.wire.frames import FRAME_SIZE
 HEAD: Final = struct.Struct("<4siIIIII")
 KNOWN_FLAGS: Final = 3
 LENGTH_AT: Final = 4  # in a frame
-LONGEST: Final = 8  # bytes of data; no transport lets a longer frame in
+LENGTHS: Final = bytes(range(9))  # no transport lets a longer frame in
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +38,7 @@ def parse_input(tick: int, data: bytes) -> CycleInput:
         frames_at = HEAD.size + size + -size % 4 + 4
         count = int.from_bytes(data[frames_at - 4 : frames_at], "little")
         frames = data[frames_at:]
-        text = data[HEAD.size : text_end - 1].decode()
+        text = "" if size == 1 else data[HEAD.size : text_end - 1].decode()
         sound = (
             encapsulation == ENCAPSULATION
             and size > 0
@@ -46,7 +46,7 @@ def parse_input(tick: int, data: bytes) -> CycleInput:
             and not flags & ~KNOWN_FLAGS
             and len(frames) == count
             and not count % FRAME_SIZE
-            and max(frames[LENGTH_AT::FRAME_SIZE], default=0) <= LONGEST
+            and not frames[LENGTH_AT::FRAME_SIZE].strip(LENGTHS)
             and crc == check_input(slips, flags, text, frames)
         )
         commands = tuple(Command.from_json(line) for line in text.split("\n")) if text else ()

@@ -70,6 +70,11 @@ def open_log(log: Path, choice: Choice) -> Opened:
     """
     dbc = Path(dbc_path()) if choice.home is None else check_home(choice.home) / OTHER_DBC
     recorded = read_run(log)
+    if recorded.attachment(SCENARIO_ATTACHMENT) is None:
+        raise RecordError(
+            f"{log}: no {SCENARIO_ATTACHMENT} is attached, so it is no log of a run and there is nothing to fly; its "
+            "frames can be played onto a bus with --to"
+        )
     run_hash = int(recorded.metadata.get("run", {}).get("run_hash", "0"), 16)
     config, settings, tick_hz = _read_settings(recorded, log, choice)
     if not dbc.is_file():

@@ -9,13 +9,14 @@ from typing import Final
 
 from bus.errors import RecordError
 from tools.log.mcap_reader import DBC_ATTACHMENT, Run
-from tools.run.provenance import describe_program
 
 SHOWN: Final = 4  # differences that are named
 
 
 def describe_origin(run: Run) -> str:
     """Of which version the log is, and which this one is, in words."""
+    from tools.run.provenance import describe_program  # asks git: only where there is something to tell
+
     return f"the log is of {_describe(run.metadata.get('run', {}))}, this is {_describe(describe_program())}"
 
 

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -80,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
             print(f"hilsat replay: {error}", file=sys.stderr)
             continue
         code = max(code, 0 if outcome.same else 1)
-        print(json.dumps({"log": str(log), **outcome.as_dict()}) if args.json else "\n".join(lines))
+        print(_to_json({"log": str(log), **outcome.as_dict()}) if args.json else "\n".join(lines))
     return code
 
 
@@ -149,6 +150,19 @@ def replay_open_loop(
     opened = open_log(log, Choice(tuple(overrides), process, home))
     with opened.fly() as again:
         return compare_open_loop(opened.run, again, opened.tick_ns)
+
+
+def _to_json(value: dict[str, Any]) -> str:
+    """One line; what is no number stands as text, for JSON has no room for it."""
+    return json.dumps(_make_plain(value), allow_nan=False)
+
+
+def _make_plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _make_plain(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_make_plain(item) for item in value]
+    return str(value) if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _format(log: Path, outcome: Outcome, opened: Opened) -> list[str]:
