@@ -30,6 +30,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "plot": ("tools.verbs.plot", "draw a log, or any signals of some logs, as png, svg or pdf"),
     "live": ("tools.verbs.live", "fly a scenario at the clock's pace, served to Foxglove, with a button a fault"),
     "shootout": ("tools.verbs.shootout", "fly every law with every allocator through the same faults, one table"),
+    "campaign": ("tools.verbs.campaign", "many runs from one file, one answer"),
     "bench": ("tools.verbs.bench", "measure what a cycle costs on this machine"),
     "inject": ("tools.verbs.inject", "break and heal units of a bench that runs, keep it as a scenario"),
     "plant": ("tools.verbs.sides", "run the plant alone, on a bus"),

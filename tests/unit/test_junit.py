@@ -6,6 +6,7 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import pytest
+from lxml import etree
 
 from tools.cli import main
 from tools.grading.grade import Grade
@@ -31,6 +32,23 @@ def test_each_outcome_has_its_element() -> None:
     assert suite[1].get("name") == "stays < 1 & > 0"
     assert "1.5" in (suite[1][0].get("message") or "")
     assert "\x1b" not in (suite[2].get("name") or "")
+
+
+def test_the_file_is_what_jenkins_takes() -> None:
+    """Every outcome, a run that broke off, one of which nothing was asked: sound by a schema that refuses others."""
+    schema = etree.XMLSchema(etree.parse(Path(__file__).parents[1] / "data" / "junit.xsd"))
+    grades = [
+        (Path("a.mcap"), Grade("flight", (PASSED, FAILED, UNSEEN), True, 3)),
+        (Path("b.mcap"), Grade("flight", (PASSED,), False, 1)),
+        (Path("c.mcap"), Grade("flight", (PASSED,), True, 0)),
+    ]
+    document = etree.fromstring(make_junit(grades))
+    assert schema.validate(document), schema.error_log
+    document.set("skipped", "0")
+    assert not schema.validate(document)
+    document = etree.fromstring(make_junit(grades))
+    document[0].set("failures", "none")
+    assert not schema.validate(document)
 
 
 @pytest.mark.parametrize(("complete", "required"), [(False, 1), (True, 0)])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import csv
 import json
+import math
 import tomllib
 from pathlib import Path
 
@@ -227,6 +228,80 @@ def test_diff_of_a_shorter_run(tmp_path: Path) -> None:
     first = digest.compare_runs(*runs).first
     assert first is not None
     assert (first.tick, first.field, first.a, first.b) == (200, "number of messages", 300, 200)
+
+
+UNITS = TickPacker(
+    [
+        Topic(
+            "/fsw/y",
+            "hilsat/Y",
+            (Field("rate_rad_s", "float64", 2, "rad/s"), Field("tau_nm", "float64", 1, "N m"), Field("inner_rad_s")),
+        )
+    ],
+    101,
+)
+
+
+def write_signals(path: Path, rate: float = 0.0, tau: float = 0.0, inner: float = 0.0, ticks: int = 100) -> str:
+    """A run of signals with units; from tick 50 on each is off by so much."""
+    recorder = Recorder(path, metadata={"run_id": path.stem}, sources=[2])
+    link = recorder.link(2)
+    link.announce(announce_topics([UNITS]))
+    for tick in range(ticks):
+        off = (rate, tau, inner) if tick >= 50 else (0.0, 0.0, 0.0)
+        values = UNITS.pack(tick, tick * 10_000_000, 1.0, 2.0 + off[0], 0.1 + off[1], off[2])
+        link.write_tick(tick, tick * 10_000_000, values)
+    link.event(0, "info", "fsw", path.stem)
+    link.close("done")
+    recorder.close()
+    return str(path)
+
+
+def test_diff_within_a_tolerance_per_unit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Off by 2^-20 rad/s: the same within 1e-6 of that unit and no other, whether the log or the name says the unit."""
+    size = 2.0**-20
+    a = write_signals(tmp_path / "run.mcap")
+    (tmp_path / "b").mkdir()
+    b = write_signals(tmp_path / "b" / "run.mcap", rate=size)
+    assert run_verb(digest, "diff", a, b) == 1
+    words = capsys.readouterr().out
+    assert "/fsw/y, tick 50, 0.500000 s: rate_rad_s" in words
+    assert "fsw.y.rate_rad_s: by 9.54e-07 rad_s at most, first at 0.5 s, on 50 records" in words
+    for unit in ("rad_s", "rad/s"):
+        assert run_verb(digest, "diff", a, b, "--tolerance", f"{unit}=1e-6") == 0
+    assert "the same within what is allowed" in capsys.readouterr().out
+    assert run_verb(digest, "diff", a, b, "--tolerance", "rad_s=9e-7") == 1
+    assert run_verb(digest, "diff", a, b, "--tolerance", "nm=1") == 1
+    (tmp_path / "c").mkdir()
+    c = write_signals(tmp_path / "c" / "run.mcap", inner=size, tau=math.nan)
+    capsys.readouterr()
+    assert run_verb(digest, "diff", a, c, "--tolerance", "rad_s=1e-6", "--tolerance", "nm=1e9", "--json") == 1
+    result = json.loads(capsys.readouterr().out)
+    assert result["first"]["field"] == "tau_nm"
+    found = {signal["field"]: (signal["count"], signal["largest"]) for signal in result["signals"]}
+    assert found == {"tau_nm": (50, None), "inner_rad_s": (0, size)}
+
+
+def test_diff_without_what_is_ignored(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A signal, a topic, a field of an event; what is left must be equal; nothing left, or a name nobody has, is told."""
+    a, b = write_signals(tmp_path / "a.mcap"), write_signals(tmp_path / "b.mcap", tau=0.5)
+    assert run_verb(digest, "diff", a, b, "--ignore", "fsw.y.tau_nm", "--ignore", "events.message") == 0
+    assert run_verb(digest, "diff", a, b, "--ignore", "/fsw/y", "--ignore", "/events.message") == 0
+    assert run_verb(digest, "diff", a, b, "--ignore", "fsw.y.tau_nm") == 1
+    assert "/events" in capsys.readouterr().out
+    assert run_verb(digest, "diff", a, b, "--ignore", "events") == 1
+    short = write_signals(tmp_path / "short.mcap", ticks=80)
+    assert run_verb(digest, "diff", a, short, "--tolerance", "nm=1", "--ignore", "events") == 1
+    assert "/fsw/y, tick 80, 0.800000 s: number of messages" in capsys.readouterr().out
+    with pytest.raises(UsageError, match="did you mean tau_nm"):
+        run_verb(digest, "diff", a, b, "--ignore", "fsw.y.tau_mn")
+    with pytest.raises(UsageError, match="no signal has the unit furlong"):
+        run_verb(digest, "diff", a, b, "--tolerance", "furlong=1")
+    with pytest.raises(UsageError, match="takes UNIT=NUMBER"):
+        run_verb(digest, "diff", a, b, "--tolerance", "nm")
+    everything = [word for name in ("fsw.y", "events", "faults") for word in ("--ignore", name)]
+    with pytest.raises(RecordError, match="nothing was compared"):
+        run_verb(digest, "diff", a, b, *everything)
 
 
 # -- python-can ----------------------------------------------------------------------------------------------------

@@ -17,7 +17,7 @@ from tools.config.expect import Expectation, expressions_of
 from tools.config.loader import load_text
 from tools.config.requirements import load_requirements
 from tools.config.scenario import Resolved
-from tools.grading.bus import judge_senders
+from tools.grading.bus import COUNTERS, judge_senders
 from tools.grading.expressions import name_signals
 from tools.grading.faults import judge_faults
 from tools.grading.judge import judge
@@ -129,9 +129,10 @@ def grade_run(run: Run, resolved: Resolved, more: Sequence[Expectation] = (), re
 
 
 def _prefetch(run: Run, expressions: list[str]) -> None:
-    """Read all signals that the expressions name in one pass; what cannot be read is left to each to say."""
+    """Read all signals that a grade needs in one pass; what cannot be read is left to each to say."""
     wanted: dict[str, list[str]] = {}
-    for topic, field in [name for expression in expressions for name in name_signals(expression)]:
+    counters = [(topic, field) for topic, _ in COUNTERS for field in ("rivals", "slips", "shed")]
+    for topic, field in [*counters, *(name for expression in expressions for name in name_signals(expression))]:
         if topic in run.topics:
             try:
                 if field in run.signals(topic):

@@ -42,7 +42,7 @@ class MessageTable(NamedTuple):
 
     def split(self) -> Iterator[tuple[int, Ints]]:
         """Each channel with the rows of its messages."""
-        order = np.argsort(self.channel, kind="stable")
+        order = np.argsort(self.channel.astype(np.uint16), kind="stable")  # 16 bits are sorted by counting
         found, starts = np.unique(self.channel[order], return_index=True)
         yield from zip(found.tolist(), np.split(order, starts[1:]), strict=False)
 

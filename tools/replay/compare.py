@@ -5,22 +5,20 @@ from __future__ import annotations
 import json
 import struct
 from collections import deque
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 from bus.errors import RecordError
-from bus.icd.messages import MESSAGES
 from bus.wire.frames import FRAME_SIZE
 from fsw.telemetry import INPUT_TOPIC
 from fsw.telemetry import SOURCE as FSW_SOURCE
-from tools.log.mcap_reader import FRAMES_AT, LogRecord, Run
-from tools.log.message_index import DATA_AT
-from tools.replay.flight_again import Cycle, FlightAgain
+from tools.log.mcap_reader import LogRecord, Run
+from tools.replay.flight_again import Cycle, Flown
+from tools.replay.heard import BUS, Found, HeardFrames
 from tools.replay.inputs import CycleInput, parse_input
+from tools.replay.origin import compare_layouts, describe_origin, join_some
 
-BUS: Final = "/can/bus0"
-SAID_BY_FSW: Final = tuple(sorted(can_id for can_id, message in MESSAGES.items() if message.sender == "FSW"))
-PATIENCE: Final = 50  # real time: cycles that a logged frame may be ahead of the one that sent it
 SHOWN_FRAMES: Final = 20
 
 
@@ -71,66 +69,85 @@ class Outcome:
         return asdict(self) | {"same": self.same}
 
 
-def compare_replay(run: Run, again: FlightAgain, tick_ns: int) -> Outcome:
+Edit = Callable[[int, bytes], bytes]  # tick and data of an input record -> the data to take in its place
+
+
+def compare_replay(run: Run, again: Flown, tick_ns: int, edit: Edit | None = None) -> Outcome:
     """Fly every recorded cycle again and compare what it says with what is in the log.
 
+    edit : what a forger would have made of each record of an input; for those who ask whether that is found
     Raises RecordError when the log has no inputs, has lost some, or lays a topic out otherwise than this version does.
     """
-    topics = _list_topics(run, again)
-    outcome = Outcome()
-    heard = _Heard(run.metadata.get("run", {}).get("clock") == "realtime")
-    expected: dict[str, bytes] = {}
-    ahead: deque[LogRecord] = deque()  # of the bus, of ticks whose cycle has not come yet
-    expected_tick = last_tick = -1
-    slips = 0
-    for topic, record in run.iterate_topics(BUS, *topics):
-        if topic == BUS:
-            ahead.append(record)
-            continue
-        if record.sequence != expected_tick:
-            expected, expected_tick = {}, record.sequence
-        expected[topic] = record.data
-        if topic == INPUT_TOPIC:  # the last record of a cycle
-            given = parse_input(record.sequence, record.data)
-            if given.tick != last_tick + 1 and given.slips == slips:
-                raise RecordError(
-                    f"{run.path}: the inputs of ticks {last_tick + 1} to {given.tick - 1} are not in the log; up to there "
-                    f"{outcome.differing_ticks} of {outcome.ticks} ticks differ, and beyond it nothing can be said"
-                )
-            last_tick, slips = given.tick, given.slips
-            cycle = again.cycle(given)
-            outcome.ticks += 1
-            outcome.records += len(expected)
-            heard.note_replayed(cycle.frames)
-            while ahead and ahead[0].sequence <= last_tick:
-                heard.note_recorded(ahead.popleft())
-            found = _compare_records(run, expected, cycle) or heard.compare()
-            if found is not None:
-                outcome.differing_ticks += 1
-                outcome.first = outcome.first or _locate(found, again, given, tick_ns)
-    if not outcome.ticks:
-        raise RecordError(f"{run.path}: no cycle of the flight software is in the log; there is nothing to replay")
-    _note_rest(run, outcome, heard, ahead, last_tick)
-    found = heard.compare(at_end=True)
-    if found is not None:
-        outcome.differing_ticks += 1
-        outcome.first = outcome.first or _locate(found, again, given, tick_ns)
-    outcome.frames, outcome.unheard = heard.compared, heard.unheard
-    return outcome
+    return _Comparison(run, again, tick_ns, edit).compare(_list_topics(run, again))
 
 
-def _note_rest(run: Run, outcome: Outcome, heard: _Heard, ahead: deque[LogRecord], last_tick: int) -> None:
-    """Take the frames that the log has behind its last cycle: of a log that was cut there, their cycles are missing."""
-    was_cut = not run.complete or "recovery" in run.metadata
-    for record in ahead:
-        if was_cut and record.sequence > last_tick:
-            outcome.torn += 1
-        else:
-            heard.note_recorded(record)
+class _Comparison:
+    """One pass over a log."""
+
+    def __init__(self, run: Run, again: Flown, tick_ns: int, edit: Edit | None) -> None:
+        self._run, self._again, self._tick_ns, self._edit = run, again, tick_ns, edit
+        self._outcome = Outcome()
+        self._heard = HeardFrames(run)
+        self._ahead: deque[LogRecord] = deque()  # of the bus, of ticks whose cycle has not come yet
+        self._last_tick, self._slips = -1, 0
+
+    def compare(self, topics: tuple[str, ...]) -> Outcome:
+        outcome, ahead = self._outcome, self._ahead
+        expected: dict[str, bytes] = {}
+        expected_tick = -1
+        for topic, record in self._run.iterate_topics(BUS, *topics):
+            if topic == BUS:
+                ahead.append(record)
+                continue
+            if record.sequence != expected_tick:
+                expected, expected_tick = {}, record.sequence
+            expected[topic] = record.data
+            if topic == INPUT_TOPIC:  # the last record of a cycle
+                self._fly(expected, record)
+        if not outcome.ticks:
+            raise RecordError(
+                f"{self._run.path}: no cycle of the flight software is in the log; there is nothing to replay"
+            )
+        self._note_rest()
+        self._note(self._heard.compare(at_end=True), self._given)
+        outcome.frames, outcome.unheard = self._heard.compared, self._heard.unheard
+        return outcome
+
+    def _fly(self, expected: dict[str, bytes], record: LogRecord) -> None:
+        """Fly a cycle, and compare it and the frames of the bus up to it."""
+        if self._edit is not None:
+            expected[INPUT_TOPIC] = self._edit(record.sequence, record.data)
+        given = self._given = parse_input(record.sequence, expected[INPUT_TOPIC])
+        outcome = self._outcome
+        if given.tick != self._last_tick + 1 and given.slips == self._slips:
+            raise RecordError(
+                f"{self._run.path}: the inputs of ticks {self._last_tick + 1} to {given.tick - 1} are not in the log; up to "
+                f"there {outcome.differing_ticks} of {outcome.ticks} ticks differ, and beyond it nothing can be said"
+            )
+        self._last_tick, self._slips = given.tick, given.slips
+        cycle = self._again.cycle(given)
+        outcome.ticks += 1
+        outcome.records += len(expected)
+        told = self._heard.match(cycle.frames, self._ahead, given.tick)
+        self._note(_compare_records(self._run, expected, cycle) or told, given)
+
+    def _note(self, found: Found | None, given: CycleInput) -> None:
+        if found is not None:
+            self._outcome.differing_ticks += 1
+            self._outcome.first = self._outcome.first or _locate(found, self._again.mode, given, self._tick_ns)
+
+    def _note_rest(self) -> None:
+        """Take the frames that the log has behind its last cycle: of a log that was cut there, their cycles are missing."""
+        was_cut = not self._run.complete or "recovery" in self._run.metadata
+        for record in self._ahead:
+            if was_cut and record.sequence > self._last_tick:
+                self._outcome.torn += 1
+            else:
+                self._heard.note_recorded(record)
 
 
-def _list_topics(run: Run, again: FlightAgain) -> tuple[str, ...]:
-    """The topics of the flight software that are compared."""
+def _list_topics(run: Run, again: Flown) -> tuple[str, ...]:
+    """The topics of the flight software that are compared. Raises RecordError with everything in which they differ."""
     if INPUT_TOPIC not in run.topics:
         raise RecordError(
             f"{run.path}: has no {INPUT_TOPIC}, what each cycle was given; it is of a version that did not log that"
@@ -140,24 +157,18 @@ def _list_topics(run: Run, again: FlightAgain) -> tuple[str, ...]:
         name: info for name, info in run.topics.items()
         if info.deterministic and info.encoding == "cdr" and info.source == own
     }  # fmt: skip
-    for name in sorted(recorded.keys() | again.schemas.keys()):
-        if name not in recorded or name not in again.schemas:
-            where = "this version writes" if name in again.schemas else "the log has"
-            raise RecordError(f"{run.path}: only {where} {name}: the log is of another version or another set-up")
-        if recorded[name].schema != again.schemas[name]:
-            raise RecordError(f"{run.path}: {name} is laid out otherwise than here: the log is of another version")
+    unlike = [
+        words for name in sorted(recorded.keys() | again.schemas.keys())
+        if (words := compare_layouts(name, recorded[name].schema if name in recorded else None, again.schemas.get(name)))
+    ]  # fmt: skip
+    if unlike:
+        raise RecordError(
+            f"{run.path}: its topics are not those of the flight software here: {join_some(unlike)}; {describe_origin(run)}"
+        )
     return tuple(recorded)
 
 
-@dataclass(frozen=True, slots=True)
-class _Found:
-    where: str
-    signal: str
-    recorded: Any
-    replayed: Any
-
-
-def _compare_records(run: Run, expected: dict[str, bytes], cycle: Cycle) -> _Found | None:
+def _compare_records(run: Run, expected: dict[str, bytes], cycle: Cycle) -> Found | None:
     """The first thing in which the records of a cycle differ."""
     if expected == cycle.records:
         return None
@@ -166,68 +177,16 @@ def _compare_records(run: Run, expected: dict[str, bytes], cycle: Cycle) -> _Fou
         if one == two:
             continue
         if one is None or two is None or topic == INPUT_TOPIC:
-            return _Found(topic, "whole record", _show(one), _show(two))
+            return Found(topic, "whole record", _show(one), _show(two))
         a, b = run.decode(topic, one), run.decode(topic, two)
         for name in a:
             if _bits(a[name]) != _bits(b[name]):
-                return _Found(topic, name, a[name], b[name])
-        return _Found(topic, "stamp", _show(one), _show(two))
+                return Found(topic, name, a[name], b[name])
+        return Found(topic, "stamp", _show(one), _show(two))
     return None
 
 
-class _Heard:
-    """The frames of the flight software as the plant logged them, beside those that it sends again: id by id, in order."""
-
-    def __init__(self, lossy: bool) -> None:
-        """lossy: in real time a frame may be lost, and one may be logged before or after the cycle that sent it."""
-        self._lossy = lossy
-        self._recorded: dict[int, deque[bytes]] = {can_id: deque() for can_id in SAID_BY_FSW}
-        self._replayed: dict[int, deque[bytes]] = {can_id: deque() for can_id in SAID_BY_FSW}
-        self.compared = 0
-        self.unheard = 0
-
-    def note_recorded(self, record: LogRecord) -> None:
-        """Take the frames of a tick of the bus."""
-        _sort(record.data[FRAMES_AT - DATA_AT :], self._recorded)
-
-    def note_replayed(self, frames: bytes) -> None:
-        """Take the frames of a cycle."""
-        _sort(frames, self._replayed)
-
-    def compare(self, at_end: bool = False) -> _Found | None:
-        """Match what both sides have by now; the first mismatch."""
-        first = None
-        for can_id in SAID_BY_FSW:
-            recorded, replayed = self._recorded[can_id], self._replayed[can_id]
-            while recorded and (replayed or at_end):
-                frame = recorded[0]
-                place = replayed.index(frame) if frame in replayed else -1
-                if place < 0 and self._lossy and len(replayed) < PATIENCE and not at_end:
-                    break  # it may still come
-                self.compared += 1
-                recorded.popleft()
-                if place == 0 or (place > 0 and self._lossy):
-                    self.unheard += place
-                    for _ in range(place + 1):
-                        replayed.popleft()
-                else:
-                    other = replayed.popleft() if replayed else b""
-                    first = first or _Found(
-                        f"frame 0x{can_id:03X}", "data", frame[8:].hex(), other[8:].hex() or "no frame"
-                    )
-        if at_end:
-            self.unheard += sum(map(len, self._replayed.values()))
-        return first
-
-
-def _sort(frames: bytes, queues: dict[int, deque[bytes]]) -> None:
-    for at in range(0, len(frames), FRAME_SIZE):
-        queue = queues.get(int.from_bytes(frames[at : at + 4], "little"))
-        if queue is not None:
-            queue.append(frames[at : at + FRAME_SIZE])
-
-
-def _locate(found: _Found, again: FlightAgain, given: CycleInput, tick_ns: int) -> Divergence:
+def _locate(found: Found, mode: str, given: CycleInput, tick_ns: int) -> Divergence:
     frames = [given.frames[at : at + FRAME_SIZE] for at in range(0, len(given.frames), FRAME_SIZE)]
     words = [f"{int.from_bytes(f[:4], 'little'):03X}#{f[8 : 8 + min(f[4], 8)].hex().upper()}" for f in frames]
     shown = " ".join(words[:SHOWN_FRAMES]) + (
@@ -236,7 +195,7 @@ def _locate(found: _Found, again: FlightAgain, given: CycleInput, tick_ns: int) 
     commands = "; ".join(command.to_json() for command in given.commands)
     return Divergence(
         given.tick, given.tick * tick_ns * 1e-9, found.where, found.signal, found.recorded, found.replayed,
-        _bits(found.recorded), _bits(found.replayed), again.flight.modes.mode.name.lower(),
+        _bits(found.recorded), _bits(found.replayed), mode,
         f"slips {given.slips}, flags {given.flags}, {commands + '; ' if commands else ''}frames {shown or 'none'}",
     )  # fmt: skip
 

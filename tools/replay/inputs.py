@@ -15,6 +15,8 @@ from bus.wire.frames import FRAME_SIZE
 # encapsulation, seconds, nanoseconds, slips, flags, checksum, bytes of the text of the commands
 HEAD: Final = struct.Struct("<4siIIIII")
 KNOWN_FLAGS: Final = 3
+LENGTH_AT: Final = 4  # in a frame
+LONGEST: Final = 8  # bytes of data; no transport lets a longer frame in
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +46,7 @@ def parse_input(tick: int, data: bytes) -> CycleInput:
             and not flags & ~KNOWN_FLAGS
             and len(frames) == count
             and not count % FRAME_SIZE
+            and max(frames[LENGTH_AT::FRAME_SIZE], default=0) <= LONGEST
             and crc == check_input(slips, flags, text, frames)
         )
         commands = tuple(Command.from_json(line) for line in text.split("\n")) if text else ()

@@ -6,6 +6,7 @@ how far it goes off. Whether the run would have ended better is not in this: the
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import asdict, dataclass, field
 from typing import Any, Final
 
@@ -14,8 +15,9 @@ from numpy.typing import NDArray
 
 from bus.errors import RecordError
 from fsw.telemetry import INPUT_TOPIC
-from tools.log.mcap_reader import ENCAPSULATION_SIZE, Run, parse_layout
-from tools.replay.flight_again import FlightAgain
+from tools.log.mcap_reader import ENCAPSULATION_SIZE, LogRecord, Run, parse_layout
+from tools.replay.flight_again import Flown
+from tools.replay.heard import BUS, HeardFrames
 from tools.replay.inputs import parse_input
 
 BATCH: Final = 4096  # records of a topic that are compared at once
@@ -34,6 +36,12 @@ class SignalChange:
     largest_s: float = 0.0
     recorded: float = 0.0  # there
     replayed: float = 0.0
+    peak: float = 0.0  # largest size on either side
+
+    @property
+    def relative(self) -> float:
+        """The largest difference against the signal's size, 0 to 2."""
+        return self.largest / self.peak if self.peak and np.isfinite(self.largest) else 2.0
 
     def describe(self) -> str:
         """One line for people."""
@@ -50,13 +58,17 @@ class OpenLoop:
     ticks: int = 0
     signals: int = 0  # compared
     changes: list[SignalChange] = field(default_factory=list)  # those that differ, in the order in which they first do
+    frames: int = 0  # compared, of those that the flight software sent
+    frames_differing: int = 0
+    first_frame: str = ""  # that differs, and when
     only_recorded: list[str] = field(default_factory=list)  # topics or fields of one side alone
     only_replayed: list[str] = field(default_factory=list)
 
     @property
     def same(self) -> bool:
         """Whether something was compared and nothing differed."""
-        return bool(self.ticks and self.signals and not (self.changes or self.only_recorded or self.only_replayed))
+        differs = self.changes or self.only_recorded or self.only_replayed or self.frames_differing
+        return bool(self.ticks and self.signals and not differs)
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""
@@ -116,13 +128,16 @@ def _compare_field(change: SignalChange, a: NDArray[Any], b: NDArray[Any], t_s: 
     if not change.differing:
         change.first_s = float(t_s[rows[0]])
     change.differing += int(rows.size)
+    change.peak = max(
+        change.peak, *(float(np.max(np.abs(side), initial=0.0, where=np.isfinite(side))) for side in (one, two))
+    )
     row, column = np.unravel_index(int(np.argmax(size)), size.shape)
     if size[row, column] > change.largest:
         change.largest, change.largest_s = float(size[row, column]), float(t_s[row])
         change.recorded, change.replayed = float(one[row, column]), float(two[row, column])
 
 
-def compare_open_loop(run: Run, again: FlightAgain, tick_ns: int) -> OpenLoop:
+def compare_open_loop(run: Run, again: Flown, tick_ns: int) -> OpenLoop:
     """Fly every recorded cycle with the other software or settings; say how each of its signals differs.
 
     Raises RecordError when the log has no inputs.
@@ -142,22 +157,36 @@ def compare_open_loop(run: Run, again: FlightAgain, tick_ns: int) -> OpenLoop:
     for topic in topics.values():
         outcome.only_recorded += topic.only_a
         outcome.only_replayed += topic.only_b
-    expected: dict[str, bytes] = {}
-    expected_tick = -1
     tick_s = tick_ns * 1e-9
-    for name, record in run.iterate_topics(INPUT_TOPIC, *topics):
-        if record.sequence != expected_tick:
-            expected, expected_tick = {}, record.sequence
-        expected[name] = record.data
-        if name == INPUT_TOPIC:
-            said = again.cycle(parse_input(record.sequence, record.data)).records
-            outcome.ticks += 1
-            for topic_name, topic in topics.items():
-                if topic_name in expected and topic_name in said:
-                    topic.add(record.sequence, expected[topic_name], said[topic_name], tick_s)
+    _fly(run, again, topics, outcome, tick_s)
     for topic in topics.values():
         topic.compare(tick_s)
         outcome.signals += len(topic.changes)
         outcome.changes += [change for change in topic.changes.values() if change.differing]
     outcome.changes.sort(key=lambda change: change.first_s)
     return outcome
+
+
+def _fly(run: Run, again: Flown, topics: dict[str, _Topic], outcome: OpenLoop, tick_s: float) -> None:
+    """Give every input to the flight software and put what it says beside what is in the log."""
+    heard = HeardFrames(run)
+    expected: dict[str, bytes] = {}
+    ahead: deque[LogRecord] = deque()  # of the bus, of ticks whose cycle has not come yet
+    expected_tick = -1
+    for name, record in run.iterate_topics(*[BUS] * (BUS in run.topics), INPUT_TOPIC, *topics):
+        if name == BUS:
+            ahead.append(record)
+            continue
+        if record.sequence != expected_tick:
+            expected, expected_tick = {}, record.sequence
+        expected[name] = record.data
+        if name == INPUT_TOPIC:
+            cycle = again.cycle(parse_input(record.sequence, record.data))
+            outcome.ticks += 1
+            found = heard.match(cycle.frames, ahead, record.sequence)
+            if found is not None and not outcome.first_frame:
+                outcome.first_frame = f"{found.where} at {record.sequence * tick_s:g} s"
+            for topic_name, topic in topics.items():
+                if topic_name in expected and topic_name in cycle.records:
+                    topic.add(record.sequence, expected[topic_name], cycle.records[topic_name], tick_s)
+    outcome.frames, outcome.frames_differing = heard.compared, heard.differing

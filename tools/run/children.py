@@ -21,7 +21,7 @@ TERM_PATIENCE_S = 3.0  # between asking a process to end and ending it
 _LIBC = ctypes.CDLL(None, use_errno=True)
 
 
-def _end_with_parent() -> None:
+def end_with_parent() -> None:
     """In the child: be told to end when the process that started us is killed."""
     _LIBC.prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
 
@@ -92,7 +92,7 @@ def start(
             pass_fds=tuple(fds),
             env=environment,
             start_new_session=True,
-            preexec_fn=None if orphan else _end_with_parent,
+            preexec_fn=None if orphan else end_with_parent,
         )
     return Process(name, popen, stderr_path)
 

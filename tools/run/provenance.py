@@ -32,12 +32,12 @@ def describe_run(resolved: Resolved, address: str) -> dict[str, str]:
         "tick_hz": str(scenario.clock.tick_hz),
         "bus": address,
         "start_utc": start.isoformat(timespec="seconds"),
-        **_describe_program(),
+        **describe_program(),
     }
 
 
 @cache
-def _describe_program() -> dict[str, str]:
+def describe_program() -> dict[str, str]:
     """What runs, and where: looked up once in a process, for asking git alone takes longer than a short run.
 
     The revision is that of the first run. Whoever commits or edits later does not change the code that is loaded already.

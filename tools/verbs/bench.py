@@ -240,6 +240,12 @@ def _measure_ground(seconds: float) -> dict[str, Any]:
     return measure_ground(seconds)
 
 
+def _measure_campaign(seconds: float) -> dict[str, Any]:
+    from tools.measure.campaign import measure_campaign
+
+    return measure_campaign()
+
+
 def _measure_basilisk(seconds: float) -> dict[str, Any]:
     from tools.measure.basilisk import compare
 
@@ -262,6 +268,7 @@ MEASUREMENTS: dict[str, Callable[[float], dict[str, Any]]] = {
     "bus": _measure_bus,
     "ground": _measure_ground,
     "basilisk": _measure_basilisk,
+    "campaign": _measure_campaign,
     "instructions": _measure_instructions,
 }
-SLOW = ("ground", "instructions")  # minutes: only when asked for
+SLOW = ("campaign", "ground", "instructions")  # minutes: only when asked for

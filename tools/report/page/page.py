@@ -10,8 +10,8 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from tools.grading.grade import WORDS
 from tools.grading.verdict import Verdict
-from tools.report.page.charts import number_ids
 from tools.report.page.content import Section
+from tools.report.page.drawing import number_ids
 
 COLOURS: Final = {"pass": "pass", "fail": "fail", "not executed": "open"}
 
