@@ -165,6 +165,7 @@ def test_a_viewer_sees_the_bench_and_breaks_it(live: tuple[subprocess.Popen[str]
     assert run.complete
     assert [record["phase"] for record in run.faults][:3] == ["refused", "onset", "effect"]
     assert run.faults[1]["unit"] == "wheel.1"
+    assert main(["replay", str(log)]) == 0  # what the flight software said on the way, bit for bit
 
 
 def test_a_port_that_is_taken_is_named(capfd: pytest.CaptureFixture[str]) -> None:
