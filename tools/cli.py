@@ -28,6 +28,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "verify": ("tools.verbs.verify", "whether this machine repeats a run to the byte"),
     "report": ("tools.verbs.report", "one HTML page about one or more logs: verdicts, margins, pictures"),
     "plot": ("tools.verbs.plot", "draw a log, or any signals of some logs, as png, svg or pdf"),
+    "live": ("tools.verbs.live", "fly a scenario at the clock's pace, served to Foxglove, with a button a fault"),
     "shootout": ("tools.verbs.shootout", "fly every law with every allocator through the same faults, one table"),
     "campaign": ("tools.verbs.campaign", "many runs from one file, one answer"),
     "bench": ("tools.verbs.bench", "measure what a cycle costs on this machine"),

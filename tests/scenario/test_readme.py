@@ -20,6 +20,7 @@ ELSEWHERE = {  # commands that other tests run, because they need a partner, a k
     "hilsat fsw": "test_cli.py::test_the_two_sides_meet_in_two_terminals",
     "hilsat vcan": "test_vcan_runs.py",
     "hilsat inject": "test_break_it.py",
+    "hilsat live": "test_live.py: five minutes at the pace of the clock",
     "hilsat run zhang2018 --clock realtime": "test_break_it.py: five minutes each",
 }
 

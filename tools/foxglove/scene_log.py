@@ -78,7 +78,7 @@ def make_scene(run: Run, wheels: Sequence[Any]) -> list[bytes]:
         if changed:
             parts.append(_record(BODY.channel, tick, t_ns, scene.format_body(t_ns)))
         while changes and changes[0][0] <= t_ns:
-            _apply(acting, changes.pop(0)[1])
+            apply_change(acting, changes.pop(0)[1])
             changed = True
         if changed:
             words = {unit: list(kinds.values()) for unit, kinds in acting.items()}
@@ -102,7 +102,8 @@ def _list_changes(run: Run) -> list[tuple[int, dict[str, Any]]]:
     return sorted(found, key=lambda change: change[0])
 
 
-def _apply(acting: dict[str, dict[str, str]], record: dict[str, Any]) -> None:
+def apply_change(acting: dict[str, dict[str, str]], record: dict[str, Any]) -> None:
+    """Note in `acting` (unit -> id -> kind) the onset or the end of a fault, as /faults has it."""
     of_unit = acting.setdefault(str(record["unit"]), {})
     if record["phase"] in STARTS:
         of_unit[str(record.get("id"))] = str(record["fault"])

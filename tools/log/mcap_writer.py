@@ -23,7 +23,6 @@ import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.reader import SeekingReader
 from mcap.records import (
     Attachment,
     AttachmentIndex,
@@ -114,6 +113,8 @@ class McapWriter:
     @classmethod
     def resume(cls, path: Path | str) -> Self:
         """Open a finished file to add to its end. Raises RecordError for a file without a summary."""
+        from mcap.reader import SeekingReader  # who only reads logs is not to wait for it
+
         writer = cls.__new__(cls)
         writer._start(Path(path), "r+b", "zstd")
         try:
