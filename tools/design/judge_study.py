@@ -23,6 +23,7 @@ import tempfile
 import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Final
 
@@ -224,6 +225,7 @@ def _read_verdicts(grade: Grade, expect: tuple[Expectation, ...]) -> dict[str, t
     return found
 
 
+@cache
 def list_cases() -> dict[str, tuple[Path, tuple[Expectation, ...], tuple[str, ...]]]:
     """What is studied, by name: scenario, requirements, overrides."""
     cases = {path.stem: _make_case(path) for path in sorted(SHIPPED.glob("*.yaml"))}
