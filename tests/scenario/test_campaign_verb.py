@@ -219,6 +219,7 @@ def test_ctrl_c(flying: tuple[subprocess.Popen[str], Path]) -> None:
     assert wait_for_end(workers) == []
 
 
+@pytest.mark.slow
 def test_killed(flying: tuple[subprocess.Popen[str], Path]) -> None:
     """SIGKILL of the campaign itself: its workers end too, and it can be gone on with without flying a run again."""
     process, out = flying

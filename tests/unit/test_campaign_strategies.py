@@ -21,6 +21,7 @@ from tools.campaign.strategies import make_strategy
 from tools.campaign.strategies.answers import normalise_margin
 from tools.campaign.strategies.settings import (
     BoundarySettings,
+    IndicesSettings,
     PlanSettings,
     StrategySettings,
     UntilSettings,
@@ -320,6 +321,34 @@ def test_margins_are_comparable() -> None:
     assert normalise_margin(Judged(name="a", outcome="fail", value=None, margin=None), scales) == -1.0 < rising[0]
 
 
+# -- indices -------------------------------------------------------------------------------------------------------
+
+
+def test_indices_of_a_product() -> None:
+    """y = a x + b x y on [-2, 2]: V(a x) = a^2 4/3 alone for x, V(b x y) = b^2 16/9 shared; the closed forms are met."""
+    settings = IndicesSettings(kind="indices", metric="effort", samples=1024)
+    found, bench = fly(settings, lambda point, rng: point.values["x"] * (1.0 + 0.5 * point.values["y"]))
+    alone, shared = 4.0 / 3.0, 0.25 * 16.0 / 9.0
+    x, y = found["indices"]
+    assert (x["axis"], y["axis"]) == ("x", "y")
+    assert x["first_order"] == pytest.approx(alone / (alone + shared), abs=0.03)
+    assert x["total_order"] == pytest.approx(1.0, abs=0.03)
+    assert y["first_order"] == pytest.approx(0.0, abs=0.03)
+    assert y["total_order"] == pytest.approx(shared / (alone + shared), abs=0.03)
+    assert x["first_order_interval"][0] < alone / (alone + shared) < x["first_order_interval"][1]
+    assert len(bench.results) == found["runs"] == 1024 * 4
+
+
+def test_indices_say_what_they_could_not_see() -> None:
+    """Runs without the number are counted in words that cannot be overlooked; where nothing varies there are none."""
+    settings = IndicesSettings(kind="indices", requirement="R-1", samples=64)
+    found, _ = fly(settings, lambda point, rng: None if point.values["x"] > 1.5 else point.values["x"])
+    assert found["unknown"] > 0
+    assert f"NOT TRUE OF ALL RUNS: {found['unknown']} of 256" in found["summary"][-1]
+    same, _ = fly(settings, lambda point, rng: 1.0)
+    assert "does not vary" in same["summary"][0]
+
+
 # -- settings ------------------------------------------------------------------------------------------------------
 
 
@@ -333,6 +362,8 @@ def test_margins_are_comparable() -> None:
         (UntilSettings(kind="until", half_width=0.1, batch=20, most=10), "20 runs are more than `most`, 10"),
         (WorstSettings(kind="worst", metric="efort"), "no metric is called 'efort'; did you mean 'effort'?"),
         (WorstSettings(kind="worst", metric="effort", requirement="R-1"), "is given beside requirement"),
+        (IndicesSettings(kind="indices", metric="effort", samples=100), "100 is no power of two; give 64 or 128"),
+        (IndicesSettings(kind="indices"), "give one of requirement and metric"),
     ],
 )
 def test_settings_that_do_not_fit_are_refused(settings: StrategySettings, words: str) -> None:

@@ -139,7 +139,7 @@ def describe_axes(settings: CampaignFile, space: Space) -> tuple[AxisInfo, ...]:
                 key=axis.key or places.get(name, ""),
                 unit=axis.unit,
                 labels=_list_labels(name, axis, space),
-            )  # fmt: skip
+            )
         )
     return tuple(found)
 

@@ -1,7 +1,7 @@
 """Expressions over the axes of a campaign: constraints, and axes that are computed from others.
 
-Numbers, texts, names of axes, + - * / **, comparisons, `in`, `and`, `or`, `not`, and the functions of FUNCTIONS. Evaluated over
-a syntax tree with nothing but the listed node types.
+Numbers, texts, names of axes, + - * / % **, comparisons, `in`, `and`, `or`, `not`, and the functions of FUNCTIONS. Evaluated
+over a syntax tree with nothing but the listed node types.
 """
 
 from __future__ import annotations

@@ -6,13 +6,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from bus.errors import UsageError
 from bus.settings import KeyPath, Reading, join_key
-from bus.words import describe, nearest, suggest
+from bus.words import describe, suggest
 from tools.campaign.axis_values import name_value
 from tools.campaign.campaign import Campaign, describe_axes
 from tools.campaign.expansion import BASE, Item, Space, sort_axes
 from tools.campaign.file import CampaignFile
 from tools.campaign.formulas import Formula, FormulaError, list_compared, parse_formula
+from tools.campaign.job import find_base
 from tools.campaign.strategies.settings import WorstSettings, list_problems
 from tools.campaign.template import list_names
 from tools.campaign.trial import try_out
@@ -80,6 +82,7 @@ class _Check:
         """The campaign; None when something was found that keeps its points from being made."""
         settings = self.settings
         requirements = tuple(p for i, name in enumerate(settings.requirements) if (p := self._find_file(i, name)))
+        self._check_bases()
         self._check_common()
         self._check_use()
         space = self._make_space()
@@ -130,6 +133,14 @@ class _Check:
                 texts = [str(item) for item in known]
                 near = suggest(word, texts)
                 self.add(("where", index), f"{name} is never {describe(word)}; {near}there are: {', '.join(texts)}")
+
+    def _check_bases(self) -> None:
+        names = self.settings.base.names
+        for index, name in enumerate(names):
+            try:
+                find_base(name, self.path.parent)
+            except (UsageError, ValueError, OSError) as error:
+                self.add(("base", index) if isinstance(self.root.value["base"].value, list) else ("base",), str(error))
 
     def _check_common(self) -> None:
         """Axes that share a draw take as many numbers, and their word is no other axis' name."""
@@ -193,18 +204,23 @@ class _Check:
                     )
 
     def _find_file(self, index: int, name: str) -> Path | None:
-        """The requirement file of a name: in `requirements` beside the campaign, else one that ships with hilsat."""
-        stem = name.removesuffix(".yaml")
-        folders = [self.path.parent / "requirements", SHIPPED / "requirements"]
-        direct = self.path.parent / name
-        if "\0" not in name and name.endswith(".yaml") and direct.is_file():
-            return direct
-        for folder in folders:
-            if "/" not in stem and "\0" not in stem and (path := folder / f"{stem}.yaml").is_file():
-                return path
-        known = sorted({path.stem for folder in folders for path in folder.glob("*.yaml")})
-        near = nearest(stem, known)
-        hint = f"did you mean {near}? " if near else ""
-        words = f"there is no requirement file {describe(name)}; {hint}there are: {', '.join(known) or 'none'}"
-        self.add(("requirements", index), words)
-        return None
+        try:
+            return find_requirements(self.path.parent, name)
+        except UsageError as error:
+            self.add(("requirements", index), str(error))
+            return None
+
+
+def find_requirements(folder: Path, name: str) -> Path:
+    """The requirement file of a name: beside a campaign, in `requirements` there, or one that ships. Raises UsageError."""
+    stem = name.removesuffix(".yaml")
+    folders = [folder / "requirements", SHIPPED / "requirements"]
+    if "\0" not in name and name.endswith(".yaml") and (folder / name).is_file():
+        return folder / name
+    for place in folders:
+        if "/" not in stem and "\0" not in stem and (path := place / f"{stem}.yaml").is_file():
+            return path
+    known = sorted({path.stem for place in folders for path in place.glob("*.yaml")})
+    raise UsageError(
+        f"there is no requirement file {describe(name)}; {suggest(stem, known)}there are: {', '.join(known) or 'none'}"
+    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
@@ -18,6 +19,7 @@ from tools.config.loader import examine
 from tools.config.merge import parse_key
 from tools.config.yaml_nodes import Node
 
+_NUMBER = re.compile(r"[-+]?\d[\d.]*(?:e[-+]?\d+)?")
 MOST_SHOWN = 3  # axes that a message names
 
 
@@ -37,7 +39,7 @@ class _Trial:
     seen: dict[tuple[str, str], _Seen] = field(default_factory=dict)
 
     def note(self, finding: Finding, plan: RunPlan | None, number: int, point: Point) -> None:
-        key = (str(finding.place), finding.message)
+        key = (str(finding.place), _NUMBER.sub("#", finding.message))  # a drawn value is another one in every run
         if key in self.seen:
             self.seen[key].runs += 1
             return
@@ -102,6 +104,8 @@ def _translate(trial: _Trial, finding: Finding, point: Point) -> Finding:
     node = trial.root.value["set"].value.get(key) if "set" in trial.root.value else None
     if node is None:
         return Finding(trial.root.place, "set", words)
+    if path is not None and len(path) < len(parse_key(key) or ()):  # it is the key that is wrong
+        return Finding(node.key_place or node.place, f"set.{key}", words)
     rest = _rest_of(path, key)
     inner, left = find_node(node, rest)
     used = name_whole(inner.value)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +18,16 @@ from tools.config.scenario import Resolved
 Paths = str | Path | Sequence[str | Path]
 
 
-def check(paths: Paths, overrides: Sequence[str] = (), *, as_json: bool = False) -> int:
+def check(
+    paths: Paths,
+    overrides: Sequence[str] = (),
+    *,
+    as_json: bool = False,
+    check_other: Callable[[Path, bool], dict[str, Any] | None] | None = None,
+) -> int:
     """Exit code for a file or several: 0 when all can be run, else that of ConfigError.
+
+    check_other : reports on a file that is no scenario, and prints that unless it is for JSON; None for a scenario
 
     Prints a summary of each sound file to stdout and every problem of the others to stderr; as JSON, one object to
     stdout.
@@ -27,6 +35,9 @@ def check(paths: Paths, overrides: Sequence[str] = (), *, as_json: bool = False)
     files = [paths] if isinstance(paths, str | Path) else list(paths)
     reports = []
     for path in files:
+        if (report := check_other(Path(path), as_json) if check_other is not None else None) is not None:
+            reports.append(report)
+            continue
         examination = examine(path, overrides)
         if examination.resolved is not None:
             reports.append({"file": os.fspath(path), "ok": True, **summarise(examination.resolved), "problems": []})

@@ -24,7 +24,7 @@ CLOCKS = ("lockstep", "realtime", "inprocess")
 def add_parser(subparsers: Any) -> None:
     """Add the verb to the command line."""
     parser = subparsers.add_parser("run", help="run a scenario", description=__doc__)
-    parser.add_argument("scenario", help="scenario file, or the name of one that ships with hilsat")
+    parser.add_argument("scenario", help="scenario file or shipped name, or FILE#N or DIR#N: run N of a campaign")
     parser.add_argument("--bus", help="bus address: hub: (default), hub:DIR, socketcan:vcan0, or INTERFACE:CHANNEL")
     parser.add_argument("--clock", choices=CLOCKS, help="override the scenario's clock")
     parser.add_argument("--seed", type=int, help="override the scenario's seed")
@@ -41,13 +41,25 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run, grade, draw and report; return the exit code."""
-    resolved = load_scenario(find_scenario(args.scenario), _overrides(args))
+    resolved = _load(args)
     with (
         raise_signals(),
         plan_gateway(args.mavlink, args.mavlink_key) as gateway,
         own_directory(args.out, resolved.scenario.name) as out_dir,
     ):
         return _conclude(args, resolved, _fly(args, resolved, out_dir, gateway))
+
+
+def _load(args: argparse.Namespace) -> Resolved:
+    if "#" in args.scenario:
+        from tools.campaign.one_run import load_one, split_word
+
+        if (parts := split_word(args.scenario)) is not None:
+            one = load_one(*parts, _overrides(args))
+            if not args.quiet:
+                print(one.words, file=sys.stderr)
+            return one.resolved
+    return load_scenario(find_scenario(args.scenario), _overrides(args))
 
 
 def add_ground_options(parser: argparse.ArgumentParser) -> None:

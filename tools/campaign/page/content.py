@@ -39,7 +39,7 @@ _BOUNDS: Final = (  # how bounds are said, see tools/grading/judge.py
 _AROUND: Final = re.compile(rf"{_NUMBER} \+- {_NUMBER}")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Chart:
     """One picture with its caption."""
 

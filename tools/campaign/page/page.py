@@ -13,6 +13,7 @@ from tools.campaign.summary import WORDS, load, name_troubles
 from tools.campaign.table import describe_tally, say_labels, say_rate
 from tools.log.outputs import create
 from tools.report import page as report_page
+from tools.report.page.drawing import number_ids
 
 PAGE: Final = "report.html"
 COLOURS: Final = {"pass": "pass", "fail": "fail", "not executed": "open", "infra": "infra"}
@@ -46,6 +47,8 @@ def render(page: Page) -> str:
         "troubles": name_troubles,
         "most": MOST_SHOWN,
     }
+    for number, chart in enumerate((*page.distributions, *page.scatters, *page.search)):
+        chart.svg = number_ids(chart.svg, number)
     info = page.loaded.info
     return environment.get_template("campaign.html.j2").render(
         heading=f"Campaign: {info.name}",

@@ -7,6 +7,7 @@ from typing import Any, Final
 from bus.errors import ConfigError
 from tools.campaign.plan import Strategy
 from tools.campaign.strategies.boundary import BoundarySearch
+from tools.campaign.strategies.indices import SobolIndices
 from tools.campaign.strategies.plan import WholePlan
 from tools.campaign.strategies.settings import list_problems
 from tools.campaign.strategies.until import UntilKnown
@@ -17,6 +18,7 @@ KINDS: Final[dict[str, Any]] = {
     "until": UntilKnown,
     "boundary": BoundarySearch,
     "worst": WorstSearch,
+    "indices": SobolIndices,
 }
 
 

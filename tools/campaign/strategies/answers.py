@@ -134,3 +134,9 @@ def describe_tally(tally: Tally, confidence: float) -> dict[str, Any]:
         "rate": tally.rate,
         "interval": list(tally.interval(confidence)),
     }
+
+
+def count_dimensions(space: Space) -> int:
+    """How many numbers `sample` takes: as the campaign says, where an attitude takes three; else one a drawn axis."""
+    given: int | None = getattr(space, "dimensions", None)
+    return sum(not axis.labels for axis in space.axes) if given is None else given

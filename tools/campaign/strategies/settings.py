@@ -86,7 +86,21 @@ class WorstSettings:
     stop_at_fail: bool = False  # stop after the generation in which a run fails
 
 
-StrategySettings = PlanSettings | UntilSettings | BoundarySettings | WorstSettings
+@dataclass(frozen=True, slots=True, kw_only=True)
+class IndicesSettings:
+    """Find which drawn axis a number depends on, by Sobol's indices (Saltelli et al. 2010).
+
+    Takes samples * (drawn axes + 2) runs in a pattern of its own. Exactly one of `requirement` and `metric` is given.
+    """
+
+    kind: Literal["indices"]
+    samples: Annotated[int, Ge(8), Le(65_536)] = 256  # points of the pattern; a power of two
+    requirement: Annotated[str, Text(120)] = ""  # id or name of the requirement whose margin is looked at
+    metric: Annotated[str, Text(80)] = ""  # or the name of a metric
+    confidence: Confidence = 0.95  # of the intervals, by bootstrap
+
+
+StrategySettings = PlanSettings | UntilSettings | BoundarySettings | WorstSettings | IndicesSettings
 
 
 def list_problems(
@@ -101,6 +115,8 @@ def list_problems(
             return _check_boundary(settings, [axis.name for axis in axes])
         case WorstSettings():
             return _check_worst(settings, axes, metrics)
+        case IndicesSettings():
+            return _check_indices(settings, axes, metrics)
         case PlanSettings():
             pass
     return []
@@ -126,9 +142,27 @@ def _check_worst(settings: WorstSettings, axes: Sequence[AxisInfo], metrics: Col
         found.append(("metric", "is given beside requirement; the search goes by one of them"))
     elif settings.metric and settings.metric not in metrics:
         found.append(("metric", _name_unknown(settings.metric, "metric", list(metrics))))
+    return found + _require_drawn(settings.kind, axes)
+
+
+def _check_indices(
+    settings: IndicesSettings, axes: Sequence[AxisInfo], metrics: Collection[str]
+) -> list[tuple[str, str]]:
+    found = []
+    if bool(settings.requirement) == bool(settings.metric):
+        found.append(("metric", "give one of requirement and metric: what the indices are of"))
+    elif settings.metric and settings.metric not in metrics:
+        found.append(("metric", _name_unknown(settings.metric, "metric", list(metrics))))
+    if settings.samples & (settings.samples - 1):
+        near = 1 << settings.samples.bit_length()
+        found.append(("samples", f"{settings.samples} is no power of two; give {near // 2} or {near}"))
+    return found + _require_drawn(settings.kind, axes)
+
+
+def _require_drawn(kind: str, axes: Sequence[AxisInfo]) -> list[tuple[str, str]]:
     if all(axis.labels and axis.kind != "categorical" for axis in axes):
-        found.append(("kind", "worst searches drawn axes (uniform, normal, ...), and the campaign has none"))
-    return found
+        return [("kind", f"{kind} is about drawn axes (uniform, normal, ...), and the campaign has none")]
+    return []
 
 
 def _name_unknown(word: str, what: str, known: Sequence[str]) -> str:

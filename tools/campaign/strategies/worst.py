@@ -10,7 +10,7 @@ from typing import Any
 
 from tools.campaign.plan import Evaluate
 from tools.campaign.results import RunResult
-from tools.campaign.strategies.answers import Space, find_scales, require_known, smallest_margin
+from tools.campaign.strategies.answers import Space, count_dimensions, find_scales, require_known, smallest_margin
 from tools.campaign.strategies.settings import WorstSettings
 
 
@@ -119,11 +119,3 @@ class WorstSearch:
             "worst": {"number": best.number, "value": value, "outcome": best.outcome, "values": dict(best.values)},
             "summary": [words],
         }
-
-
-def count_dimensions(space: Space) -> int:
-    """How many numbers it takes to say where in the space of the drawn axes a point is."""
-    given: int | None = getattr(
-        space, "dimensions", None
-    )  # an attitude takes three, a common draw one for several axes
-    return sum(not axis.labels for axis in space.axes) if given is None else given
