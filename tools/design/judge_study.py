@@ -41,6 +41,7 @@ from tools.run.bench import Bench
 
 PAGE: Final = Path(__file__).resolve().parents[2] / "docs" / "judge.md"
 ROW: Final = re.compile(r"\| (.*) \| (PASS|FAIL|NOT EXECUTED) \| (PASS|FAIL|NOT EXECUTED) \| (.*?) \| (.*) \|")
+COMMANDED: Final = "fsw.control.tau_rw_cmd_nm"
 NOTHING: Final = "**nothing that was tried**"
 COMMAND: Final = "python -m tools.design.judge_study"
 BENCH: Final = "bench"  # requirement file that any run can be held against
@@ -87,7 +88,9 @@ def list_mutations(scenario: Scenario) -> Iterator[Mutation]:
         yield Mutation("faults do not end", (_faults(scenario, keep=False),))
     torque = fsw.model.wheel_max_torque_nm
     belief = "flight software believes in three times the wheel torque"
-    yield Mutation(belief, (f"fsw.model.wheel_max_torque_nm={3 * torque}",), "fsw.control.tau_rw_cmd_nm")
+    beliefs, turned = f"fsw.model.wheel_max_torque_nm={3 * torque}", "plant.body.attitude_q=[0, 0.6, 0, 0.8]"
+    yield Mutation(belief, (beliefs,), COMMANDED)
+    yield Mutation(f"{belief}, and starts turned away by 180 deg", (beliefs, turned), COMMANDED)
     yield from _list_more_faults(scenario)
     inertia = [[3.0 * value for value in row] for row in scenario.plant.body.inertia_kgm2]
     yield Mutation("body three times as heavy", (f"plant.body.inertia_kgm2={inertia}",))
@@ -96,7 +99,7 @@ def list_mutations(scenario: Scenario) -> Iterator[Mutation]:
     torques = [*plain(scenario.plant.torques), {"kind": "constant", "torque_nm": [0.5 * torque] * 3}]
     yield Mutation("disturbance of half a wheel's torque about each axis", (f"plant.torques={json.dumps(torques)}",))
     yield Mutation("commands 5 ticks late", ("plant.command_latency_ticks=5", "plant.command_max_age_ticks=9"))
-    yield Mutation("start turned away by 180 deg", ("plant.body.attitude_q=[0, 0.6, 0, 0.8]",))
+    yield Mutation("start turned away by 180 deg", (turned,))
     yield Mutation("tactical gyro", ("plant.gyro={preset: tactical}",))
 
 
