@@ -7,6 +7,10 @@ from pathlib import Path
 import pytest
 
 from tools.design.judge_study import PAGE, Row, format_page, list_cases, list_mutations, read_page, study
+from tools.design.repeat_log import repeat
+from tools.log.completeness import check_completeness
+from tools.log.mcap_reader import read_run
+from tools.run.bench import Bench
 
 
 def test_the_page_names_every_requirement_that_ships() -> None:
@@ -66,3 +70,17 @@ def test_fault_handling_is_tried_first() -> None:
     names = [mutation.name for mutation in list_mutations(load_scenario(path, overrides).scenario)]
     assert names[:3] == ["observer off", "wheel health off", "gyro fault detection off"]
     assert len(set(names)) == len(names) > 15
+
+
+def test_a_repeated_log_is_whole_and_as_long(tmp_path: Path) -> None:
+    """2 s three times over: 6 s without a hole, the same signal in each third, faults and events once."""
+    own = ["duration_s=2", "expect=[]", "faults=[{unit: wheel.1, kind: dead, at_s: 0.5}]"]
+    with Bench.open("zhang2018", own, log=tmp_path / "run.mcap") as bench:
+        bench.run_to_end()
+    repeat(tmp_path / "run.mcap", tmp_path / "long.mcap", 3)
+    long = read_run(tmp_path / "long.mcap")
+    assert check_completeness(long).whole
+    assert long.sequences("/truth/attitude") == list(range(60))
+    error_deg = long.signals("/truth/attitude")["error_deg"].reshape(3, 20)
+    assert (error_deg == error_deg[0]).all()
+    assert len(long.faults) == len(read_run(tmp_path / "run.mcap").faults) == 2
