@@ -86,9 +86,13 @@ def list_mutations(scenario: Scenario) -> Iterator[Mutation]:
     if scenario.faults:
         yield Mutation("faults do not come", ("faults=[]",))
         yield Mutation("faults do not end", (_faults(scenario, keep=False),))
+        yield Mutation("faults come and go 2 s late", (_faults(scenario, late_s=2.0),))
     torque = fsw.model.wheel_max_torque_nm
     belief = "flight software believes in three times the wheel torque"
     beliefs, turned = f"fsw.model.wheel_max_torque_nm={3 * torque}", "plant.body.attitude_q=[0, 0.6, 0, 0.8]"
+    if fsw.model.wheels is not None:  # each has its own
+        wheels = [item | {"max_torque_nm": 3 * item["max_torque_nm"]} for item in plain(fsw.model.wheels)]
+        beliefs = f"fsw.model.wheels={json.dumps(wheels)}"
     yield Mutation(belief, (beliefs,), COMMANDED)
     yield Mutation(f"{belief}, and starts turned away by 180 deg", (beliefs, turned), COMMANDED)
     yield from _list_more_faults(scenario)
@@ -134,10 +138,16 @@ def _list_more_faults(scenario: Scenario) -> Iterator[Mutation]:
         yield Mutation(name, (_faults(scenario, faults),))
 
 
-def _faults(scenario: Scenario, more: Iterable[dict[str, object]] = (), *, keep: bool = True) -> str:
-    """The scenario's faults and more; `keep` False: without their ends."""
-    own = [{key: value for key, value in item.items() if keep or key != "until_s"} for item in plain(scenario.faults)]
-    return f"faults={json.dumps([*own, *more])}"
+def _faults(
+    scenario: Scenario, more: Iterable[dict[str, object]] = (), *, keep: bool = True, late_s: float = 0.0
+) -> str:
+    """The scenario's faults and more; `keep` False: without their ends; late_s: so much later."""
+    own = [
+        {key: value + late_s if key in ("at_s", "until_s") else value for key, value in item.items()}
+        for item in plain(scenario.faults)
+    ]
+    kept = [{key: value for key, value in item.items() if keep or key != "until_s"} for item in own]
+    return f"faults={json.dumps([*kept, *more])}"
 
 
 def study(path: Path, expect: tuple[Expectation, ...], overrides: tuple[str, ...] = ()) -> list[Row]:
