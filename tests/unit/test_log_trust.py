@@ -232,7 +232,7 @@ def test_nothing_asked_is_nothing_passed(tmp_path: Path) -> None:
     grade = grade_file(path)
     assert grade.outcome == "not executed"
     assert "nothing was graded" in format_grade(grade)
-    words = {"logs": [path], "json": False, "requirements": [], "junit": None}
+    words = {"files": [path], "json": False, "requirements": [], "junit": None, "against": None}
     assert grade_verb.run(type("Words", (), words)()) == 1
 
 

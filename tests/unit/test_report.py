@@ -6,10 +6,14 @@ import re
 from html.parser import HTMLParser
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tools.cli import main
+from tools.config.expect import Isolates
+from tools.grading.expressions import Series
 from tools.grading.grade import grade_file
+from tools.report.page import charts
 from tools.run.bench import Bench
 
 VOID = {"meta", "br", "link", "img", "input", "hr"}
@@ -111,3 +115,15 @@ def test_several_runs_share_a_page_and_none_is_replaced(
     assert main(["report", str(tmp_path / "none.mcap"), "-o", str(out), "-f"]) == 3
     assert out.read_bytes() == before
     assert "Traceback" not in capsys.readouterr().err
+
+
+def test_a_vector_of_alarms_is_drawn_element_by_element() -> None:
+    """Four alarms are three lines more than one, and the single sample on which one of them is up is not lost."""
+    alarms = np.zeros((4000, 4))
+    alarms[1234, 2] = 1.0
+    series = Series(np.arange(4000) / 10, alarms)
+    item = Isolates(name="i", check="isolates", signal="fsw.fdi.wheel_alarm", fault="wheel.3", within_s=1.0)
+    picture = charts.draw_signal(series, "fsw.fdi.wheel_alarm", "", [item], ())
+    assert "from 0 to 1" in picture
+    one = charts.draw_signal(Series(series.t_s, alarms[:, 2]), "fsw.fdi.wheel_alarm", "", [item], ())
+    assert picture.count("<path") == one.count("<path") + 3

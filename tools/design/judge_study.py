@@ -1,7 +1,8 @@
 """Does the judge see? For each shipped requirement, what turns it to FAIL: docs/judge.md.
 
-python -m tools.design.judge_study                      all scenarios, writes docs/judge.md (half an hour)
-python -m tools.design.judge_study zhang2018 nominal    these alone, prints their tables
+python -m tools.design.judge_study                      all scenarios anew, into docs/judge.md (15 min of CPU time)
+python -m tools.design.judge_study zhang2018 nominal    these alone; what the page has of others stays
+python -m tools.design.judge_study --missing            those whose requirements the page has not, or has otherwise
 
 Each scenario is flown as it is, then with one thing wrong at a time, handling of faults first, until each of its
 requirements has failed once. Every flight is graded by the requirements of the sound scenario. Its first 60 % are graded
@@ -14,6 +15,7 @@ import argparse
 import json
 import multiprocessing
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -21,6 +23,7 @@ import tempfile
 import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Final
 
@@ -37,12 +40,15 @@ from tools.log.mcap_reader import read_run
 from tools.run.bench import Bench
 
 PAGE: Final = Path(__file__).resolve().parents[2] / "docs" / "judge.md"
+ROW: Final = re.compile(r"\| (.*) \| (PASS|FAIL|NOT EXECUTED) \| (PASS|FAIL|NOT EXECUTED) \| (.*?) \| (.*) \|")
+COMMANDED: Final = "fsw.control.tau_rw_cmd_nm"
+NOTHING: Final = "**nothing that was tried**"
 COMMAND: Final = "python -m tools.design.judge_study"
 BENCH: Final = "bench"  # requirement file that any run can be held against
 BENCH_ON: Final = "zhang2018-flight"
 BENCH_S: Final = 20.0
 STALLED_ON: Final = "realtime-60s"
-STALLED: Final = "flight software stopped for 0.05 s in real time"
+STALLED: Final = "flight software stopped for 0.05 s, twice a second, in real time"
 STOP_S: Final = 0.05
 PATIENCE_S: Final = 30.0
 CUT: Final = 0.6  # share of a run after which the log is cut
@@ -80,9 +86,15 @@ def list_mutations(scenario: Scenario) -> Iterator[Mutation]:
     if scenario.faults:
         yield Mutation("faults do not come", ("faults=[]",))
         yield Mutation("faults do not end", (_faults(scenario, keep=False),))
+        yield Mutation("faults come and go 2 s late", (_faults(scenario, late_s=2.0),))
     torque = fsw.model.wheel_max_torque_nm
     belief = "flight software believes in three times the wheel torque"
-    yield Mutation(belief, (f"fsw.model.wheel_max_torque_nm={3 * torque}",), "fsw.control.tau_rw_cmd_nm")
+    beliefs, turned = f"fsw.model.wheel_max_torque_nm={3 * torque}", "plant.body.attitude_q=[0, 0.6, 0, 0.8]"
+    if fsw.model.wheels is not None:  # each has its own
+        wheels = [item | {"max_torque_nm": 3 * item["max_torque_nm"]} for item in plain(fsw.model.wheels)]
+        beliefs = f"fsw.model.wheels={json.dumps(wheels)}"
+    yield Mutation(belief, (beliefs,), COMMANDED)
+    yield Mutation(f"{belief}, and starts turned away by 180 deg", (beliefs, turned), COMMANDED)
     yield from _list_more_faults(scenario)
     inertia = [[3.0 * value for value in row] for row in scenario.plant.body.inertia_kgm2]
     yield Mutation("body three times as heavy", (f"plant.body.inertia_kgm2={inertia}",))
@@ -91,7 +103,7 @@ def list_mutations(scenario: Scenario) -> Iterator[Mutation]:
     torques = [*plain(scenario.plant.torques), {"kind": "constant", "torque_nm": [0.5 * torque] * 3}]
     yield Mutation("disturbance of half a wheel's torque about each axis", (f"plant.torques={json.dumps(torques)}",))
     yield Mutation("commands 5 ticks late", ("plant.command_latency_ticks=5", "plant.command_max_age_ticks=9"))
-    yield Mutation("start turned away by 180 deg", ("plant.body.attitude_q=[0, 0.6, 0, 0.8]",))
+    yield Mutation("start turned away by 180 deg", (turned,))
     yield Mutation("tactical gyro", ("plant.gyro={preset: tactical}",))
 
 
@@ -126,10 +138,16 @@ def _list_more_faults(scenario: Scenario) -> Iterator[Mutation]:
         yield Mutation(name, (_faults(scenario, faults),))
 
 
-def _faults(scenario: Scenario, more: Iterable[dict[str, object]] = (), *, keep: bool = True) -> str:
-    """The scenario's faults and more; `keep` False: without their ends."""
-    own = [{key: value for key, value in item.items() if keep or key != "until_s"} for item in plain(scenario.faults)]
-    return f"faults={json.dumps([*own, *more])}"
+def _faults(
+    scenario: Scenario, more: Iterable[dict[str, object]] = (), *, keep: bool = True, late_s: float = 0.0
+) -> str:
+    """The scenario's faults and more; `keep` False: without their ends; late_s: so much later."""
+    own = [
+        {key: value + late_s if key in ("at_s", "until_s") else value for key, value in item.items()}
+        for item in plain(scenario.faults)
+    ]
+    kept = [{key: value for key, value in item.items() if keep or key != "until_s"} for item in own]
+    return f"faults={json.dumps([*kept, *more])}"
 
 
 def study(path: Path, expect: tuple[Expectation, ...], overrides: tuple[str, ...] = ()) -> list[Row]:
@@ -160,7 +178,7 @@ def study(path: Path, expect: tuple[Expectation, ...], overrides: tuple[str, ...
 
 
 def stall(expect: tuple[Expectation, ...]) -> dict[str, tuple[Outcome, str]]:
-    """Fly a few seconds in real time, with the flight software stopped for a moment; outcome and figure by name.
+    """Fly a few seconds in real time, with the flight software stopped now and then; outcome and figure by name.
 
     Raises UsageError where it could not be stopped.
     """
@@ -176,16 +194,25 @@ def stall(expect: tuple[Expectation, ...]) -> dict[str, tuple[Outcome, str]]:
             time.sleep(0.1)
             child = _find_child(runner.pid, "fsw")
         if child is not None:
-            time.sleep(2.0)
-            os.kill(child, signal.SIGSTOP)
-            time.sleep(STOP_S)
-            os.kill(child, signal.SIGCONT)
+            _stop_again_and_again(runner, child)
         runner.wait()
         logs = list(out.rglob("*.mcap"))
         if child is None or not logs:
             raise UsageError("the flight software of a run in real time was not found")
         run = read_run(logs[0])
         return _read_verdicts(grade_run(run, scenario_of(run, logs[0]), expect), expect)
+
+
+def _stop_again_and_again(runner: subprocess.Popen[bytes], child: int) -> None:
+    """Stop a process for a moment, twice a second, until the run is over."""
+    while runner.poll() is None:
+        try:
+            os.kill(child, signal.SIGSTOP)
+            time.sleep(STOP_S)
+            os.kill(child, signal.SIGCONT)
+        except ProcessLookupError:
+            return
+        time.sleep(0.5)
 
 
 def _find_child(parent: int, module: str) -> int | None:
@@ -220,6 +247,7 @@ def _read_verdicts(grade: Grade, expect: tuple[Expectation, ...]) -> dict[str, t
     return found
 
 
+@cache
 def list_cases() -> dict[str, tuple[Path, tuple[Expectation, ...], tuple[str, ...]]]:
     """What is studied, by name: scenario, requirements, overrides."""
     cases = {path.stem: _make_case(path) for path in sorted(SHIPPED.glob("*.yaml"))}
@@ -248,14 +276,31 @@ def format_case(name: str, rows: list[Row]) -> str:
     ]
     lines.append("|---|---|---|---|---|")
     for row in rows:
-        catch = row.catch or "**nothing that was tried**"
+        catch = row.catch or NOTHING
         cells = (row.name, WORDS[row.sound], WORDS[row.cut], catch, row.figure)
         lines.append("| " + " | ".join(cell.replace("|", "\\|").replace("<", "&lt;") for cell in cells) + " |")
     return "\n".join(lines) + "\n"
 
 
-def format_page(studied: dict[str, list[Row]]) -> str:
-    """The page: what was done, the sum, a table a scenario."""
+def read_page(text: str) -> dict[str, list[Row]]:
+    """The rows of each scenario that a page has."""
+    outcomes: dict[str, Outcome] = {word: outcome for outcome, word in WORDS.items()}
+    found: dict[str, list[Row]] = {}
+    name = ""
+    for line in text.splitlines():
+        if line.startswith("## "):
+            name = line.removeprefix("## ")
+        elif name and (match := ROW.match(line)):
+            wanted, sound, cut, catch, figure = (
+                cell.replace("\\|", "|").replace("&lt;", "<") for cell in match.groups()
+            )
+            catch = "" if catch == NOTHING else catch
+            found.setdefault(name, []).append(Row(wanted, outcomes[sound], outcomes[cut], catch, figure))
+    return found
+
+
+def format_page(studied: dict[str, list[Row]], unflown: Iterable[str] = ()) -> str:
+    """The page: what was done, the sum, a table a scenario. unflown: scenarios that ship and are not in it, in words."""
     rows = [(name, row) for name, rows in studied.items() for row in rows]
     caught = sum(bool(row.catch) for _, row in rows)
     blind = [f"- {name}: {row.name}" for name, row in rows if not row.catch]
@@ -263,6 +308,7 @@ def format_page(studied: dict[str, list[Row]]) -> str:
     for _, row in rows:
         counts[row.catch or "nothing that was tried"] = counts.get(row.catch or "nothing that was tried", 0) + 1
     order = sorted(counts.items(), key=lambda item: -item[1])
+    missing = [f"- {words}" for words in unflown]
     text = f"""# Does the judge see?
 
 A requirement that nothing can fail is no requirement. Each one that ships was held against flights with one thing made wrong
@@ -271,43 +317,52 @@ graded then. Made by
 
     {COMMAND}
 
-**{caught} of {len(rows)} requirements are turned to FAIL by something.** {_say_blind(blind)}The column "log cut at 60 %" is
-the verdict on a log that ends there: PASS only where the window ends before. The run as a whole is never passed then, for
-its last tick is missing.
+**{caught} of {len(rows)} requirements are turned to FAIL by something.** {_say_list("These are not:", blind)}The column
+"log cut at 60 %" is the verdict on a log that ends there: PASS only where the window ends before. The run as a whole is
+never passed then, for its last tick is missing.
 
-| made wrong | requirements that it was the first to turn |
+{_say_list("Not flown for this page yet:", missing)}| made wrong | requirements that it was the first to turn |
 |---|---|
 """
     text += "".join(f"| {name} | {count} |\n" for name, count in order) + "\n"
     return text + "\n".join(format_case(name, rows) for name, rows in studied.items() if rows)
 
 
-def _say_blind(blind: list[str]) -> str:
-    return "These are not:\n\n" + "\n".join(blind) + "\n\n" if blind else ""
+def _say_list(head: str, items: list[str]) -> str:
+    return f"{head}\n\n" + "\n".join(items) + "\n\n" if items else ""
+
+
+def update_page(new: dict[str, list[Row]], *, anew: bool = False) -> None:
+    """Write docs/judge.md with these scenarios, and what it has of others that still ship as they are; `anew`: without."""
+    known = {} if anew or not PAGE.exists() else read_page(PAGE.read_text(encoding="utf-8"))
+    cases = {name: [item.name for item in expect] for name, (_, expect, _) in list_cases().items() if expect}
+    known |= new
+    kept = {name: known[name] for name, names in cases.items() if [row.name for row in known.get(name, [])] == names}
+    unflown = [f"{name}: {'; '.join(names)}" for name, names in cases.items() if name not in kept]
+    with tempfile.NamedTemporaryFile("w", dir=PAGE.parent, delete=False, encoding="utf-8") as file:
+        file.write(format_page(kept, unflown))
+    Path(file.name).chmod(0o644)
+    Path(file.name).replace(PAGE)
 
 
 def main() -> None:
-    """Study the scenarios named, or all, and show or write the tables."""
+    """Study the scenarios named, or all, and keep the page up to date after each."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument(
-        "cases", nargs="*", help="names of scenarios, or requirements/NAME; left out: all, into docs/judge.md"
-    )
+    parser.add_argument("cases", nargs="*", help="names of scenarios, or requirements/NAME; left out: all")
+    parser.add_argument("--missing", action="store_true", help="those alone that the page has not")
     args = parser.parse_args()
-    known = list(list_cases())
-    wanted = args.cases or known
+    known = [name for name, (_, expect, _) in list_cases().items() if expect]
+    there = read_page(PAGE.read_text(encoding="utf-8")) if args.missing and PAGE.exists() else {}
+    wanted = args.cases or [name for name in known if name not in there]
     if unknown := [name for name in wanted if name not in known]:
         parser.error(f"there is no {', '.join(unknown)}; there are: {', '.join(known)}")
-    with multiprocessing.get_context("spawn").Pool(min(WORKERS, len(wanted)), os.nice, (2,)) as pool:
-        studied = {}
-        for name, rows in pool.imap(_study_case, wanted, 1):
+    studied: dict[str, list[Row]] = {}
+    with multiprocessing.get_context("spawn").Pool(WORKERS, os.nice, (2,)) as pool:
+        for name, rows in pool.imap_unordered(_study_case, wanted, 1):
             studied[name] = rows
             print(format_case(name, rows), flush=True)
-    if not args.cases:
-        with tempfile.NamedTemporaryFile("w", dir=PAGE.parent, delete=False, encoding="utf-8") as file:
-            file.write(format_page(studied))
-        Path(file.name).chmod(0o644)
-        Path(file.name).replace(PAGE)
-        print(PAGE)
+            update_page(studied, anew=not args.cases and not args.missing)
+    print(PAGE)
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Iterable, Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
@@ -20,7 +21,7 @@ from bus.errors import RecordError
 from bus.telemetry.cdr import FRAMES_SCHEMA
 from bus.telemetry.events import EVENTS, FAULTS
 from tools.log.mcap_records import McapContent, Stretch
-from tools.log.message_index import DATA_AT
+from tools.log.message_index import DATA_AT, view_words
 from tools.log.signal_decoder import MessageDecoder
 from tools.log.topics import TopicInfo, list_topics, parse_layout
 
@@ -28,6 +29,7 @@ DBC_ATTACHMENT: Final = "icd.dbc"
 FRAME_DTYPE: Final = np.dtype([("t_ns", "<i8"), ("id", "<u4"), ("dlc", "u1"), ("data", "u1", (8,))])
 WIRE_DTYPE: Final = np.dtype([("id", "<u4"), ("dlc", "u1"), ("pad", "u1", (3,)), ("data", "u1", (8,))])
 ENCAPSULATION_SIZE: Final = 4
+WORD: Final = 8  # bytes
 FRAMES_AT: Final = DATA_AT + ENCAPSULATION_SIZE + 12  # behind stamp and length
 
 
@@ -169,9 +171,8 @@ class Run:
                     at[topic] = here.stop
                     times[topic][here] = stretch.table.log_time_ns[rows]
                     if missing[topic]:
-                        table = self._gather(topic, stretch, rows)
-                        for name in missing[topic]:
-                            values[topic, name][here] = table[name]
+                        for name, read in self._read_fields(topic, stretch, rows, missing[topic]):
+                            values[topic, name][here] = read
         self._times |= times
         self._fields |= values
 
@@ -326,16 +327,38 @@ class Run:
             self._layouts[topic] = parse_layout(info.schema, f"{self.path}: {topic}")
         return self._layouts[topic]
 
+    def _read_fields(
+        self, topic: str, stretch: Stretch, rows: NDArray[np.int64], names: Iterable[str]
+    ) -> Iterator[tuple[str, NDArray[Any]]]:
+        """Each of these fields of a topic in one chunk. Numbers of eight bytes are taken one by one, others with all."""
+        layout = self._check_size(topic, stretch, rows)
+        starts = stretch.table.offset[rows] + DATA_AT + ENCAPSULATION_SIZE
+        words, table = view_words(stretch.data), None
+        for name in names:
+            kind, at = layout.fields[name][:2]  # type: ignore[index]
+            if kind.base.itemsize == WORD:
+                steps = WORD * np.arange(math.prod(kind.shape)).reshape(kind.shape)
+                yield name, words[starts.reshape(-1, *(1,) * steps.ndim) + (at + steps)].view(kind.base)
+            else:
+                table = self._gather(topic, stretch, rows) if table is None else table
+                yield name, table[name]
+
     def _gather(self, topic: str, stretch: Stretch, rows: NDArray[np.int64]) -> NDArray[Any]:
         """The records of a topic in one chunk as a structured array."""
-        layout = self._layout(topic)
+        layout = self._check_size(topic, stretch, rows)
         start = DATA_AT + ENCAPSULATION_SIZE
-        size = start + layout.itemsize
+        data = np.frombuffer(stretch.data, np.uint8)
+        where = stretch.table.offset[rows][:, None] + np.arange(start, start + layout.itemsize)
+        table: NDArray[Any] = data[where].view(layout)
+        return table.reshape(-1)
+
+    def _check_size(self, topic: str, stretch: Stretch, rows: NDArray[np.int64]) -> np.dtype[Any]:
+        """The layout of a topic. Raises RecordError where records of it are not as long as that says."""
+        layout = self._layout(topic)
+        size = DATA_AT + ENCAPSULATION_SIZE + layout.itemsize
         if (stretch.table.size[rows] != size).any():
             raise RecordError(f"{self.path}: a record of {topic} has not the {size} bytes that its schema says")
-        data = np.frombuffer(stretch.data, np.uint8)
-        table: NDArray[Any] = data[stretch.table.offset[rows][:, None] + np.arange(start, size)].view(layout)
-        return table.reshape(-1)
+        return layout
 
 
 def _read_frames(stretch: Stretch, rows: NDArray[np.int64]) -> NDArray[Any]:

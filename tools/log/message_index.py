@@ -100,7 +100,7 @@ def read_indexes(data: bytes, indexes: bytes) -> MessageTable | None:
     size_of = np.diff(offset, append=len(data))
     if not offset.size or offset[0] != 0 or (size_of < DATA_AT).any():
         return None
-    words = _view_words(data)
+    words = view_words(data)
     middle = words[offset + CHANNEL_AT]
     if (words[offset + 1].view("<i8") + RECORD_HEAD != size_of).any() or (words[offset] & 0xFF != MESSAGE).any():
         return None
@@ -165,7 +165,7 @@ class LayoutIndex:
         if layout is None:
             first = int(starts[0])
             layout = self._layouts[length] = _learn_layout(data[first : first + length])
-        words = _view_words(data)
+        words = view_words(data)
         heads = starts + layout.offsets[:, None]
         if (words[heads] != layout.sizes).any() or (words[heads + CHANNEL_AT] & CHANNEL_BITS != layout.tails).any():
             del self._layouts[length]
@@ -174,7 +174,7 @@ class LayoutIndex:
         return True
 
 
-def _view_words(data: bytes) -> Words:
+def view_words(data: bytes) -> Words:
     """The eight bytes from every byte of `data` on as a number each: an overlapping view, nothing is copied."""
     return np.ndarray(len(data) - 7, "<u8", data, 0, (1,))
 
@@ -215,5 +215,5 @@ def _walk_whole(part: bytes, start: int) -> MessageTable:
 
 def _learn_layout(part: bytes) -> Layout:
     table = _walk_whole(part, 0)
-    words, heads = _view_words(part), table.offset[:, None]
+    words, heads = view_words(part), table.offset[:, None]
     return Layout(tuple(table.channel.tolist()), table.offset, words[heads], words[heads + CHANNEL_AT] & CHANNEL_BITS)

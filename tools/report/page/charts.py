@@ -38,8 +38,6 @@ def draw_signal(series: Series, name: str, unit: str, items: list[Expectation], 
     assert t_s is not None
 
     def draw(axis: Any) -> None:
-        pick = thin(values, MAX_POINTS)
-        shown = values[pick]
         bounds = [bound for item in items for bound in _bounds_of(item)]
         largest = float(np.nanmax(np.abs(values), initial=0.0))
         # what settles, and what starts far beyond its bounds: on a straight scale nothing is to be seen of them
@@ -49,7 +47,10 @@ def draw_signal(series: Series, name: str, unit: str, items: list[Expectation], 
                 np.nanmin(values, initial=0.0) >= 0.0 and bounds and min(bounds) > 0.0 and largest > 20.0 * max(bounds)
             )
         )
-        axis.plot(t_s[pick], np.maximum(np.abs(shown), 1e-12) if is_log else shown, color=LINE, lw=1.2)
+        for column in values.reshape(len(values), -1).T:  # one, but for alarms of several units
+            pick = thin(column, MAX_POINTS)
+            shown = np.maximum(np.abs(column[pick]), 1e-12) if is_log else column[pick]
+            axis.plot(t_s[pick], shown, color=LINE, lw=1.2)
         if is_log:
             use_log_scale(axis)
         for bound in bounds:
