@@ -30,6 +30,7 @@ from tools.run.bench import Bench
 
 Write = Callable[..., Path]
 ERROR = "truth.attitude.error_deg"
+INDICES = {"kind": "indices", "requirement": "R-1"}
 SEARCH = {"kind": "boundary", "axis": "onset", "lower": 0, "upper": 1, "tolerance": 0.1}
 GOOD: dict[str, Any] = {
     "name": "mine",
@@ -285,7 +286,8 @@ def test_formula_without_a_value(text: str, a: Any) -> None:
         ({"metrics": {"m": {"max": ERROR, "min": ERROR}}}, "metrics.m: has max and min; give one of"),
         ({"metrics": {"m": {"percentile": "truth.attitude.error_deg"}}}, "percentile and percent go together"),
         ({"strategy": SEARCH}, "strategy.axis: no axis is called 'onset'; did you mean 'onset_s'?"),
-        ({"strategy": {"kind": "worst"}}, "strategy.kind: worst searches what is drawn; set combine: sampled"),
+        ({"strategy": {"kind": "worst"}}, "strategy.kind: worst flies what is drawn, and one combination of lists"),
+        ({"strategy": INDICES}, "strategy.kind: indices flies what is drawn, and one combination of lists"),
         ({"metrics": {"law": {"max": ERROR}}}, "metrics.law: is the name of an axis too"),
         ({"name": "../x"}, "name: \"../x\" is not a name"),
         ({"base": []}, "base: has 0 scenarios"),

@@ -17,7 +17,7 @@ from tools.campaign.expansion import BASE, Item, Space, sort_axes
 from tools.campaign.file import CampaignFile
 from tools.campaign.formulas import Formula, FormulaError, list_compared, parse_formula
 from tools.campaign.job import find_base
-from tools.campaign.strategies.settings import WorstSettings, list_problems
+from tools.campaign.strategies.settings import IndicesSettings, WorstSettings, list_problems
 from tools.campaign.template import list_names
 from tools.campaign.trial import try_out
 from tools.config.findings import Finding, Source
@@ -208,8 +208,11 @@ class _Check:
         for key, words in list_problems(strategy, axes, list(settings.metrics.by_name)):
             self.add(("strategy", key), words)
         several = [name for name, items in space.lists.items() if len(items) > 1]
-        if isinstance(strategy, WorstSettings) and several and settings.combine != "sampled":
-            words = f"worst searches what is drawn; set combine: sampled, so that {', '.join(several)} are searched too"
+        if isinstance(strategy, WorstSettings | IndicesSettings) and several and settings.combine != "sampled":
+            words = (
+                f"{strategy.kind} flies what is drawn, and one combination of lists alone; set combine: sampled, so that "
+                f"{', '.join(several)} are drawn too"
+            )
             self.add(("strategy", "kind"), words)
 
     def _check_points(self, campaign: Campaign) -> None:
