@@ -238,4 +238,4 @@ def test_what_the_ground_said_is_replayed(vehicle: Any) -> None:
     outcome = compare_replay(run, again, bench.tick_ns)
     assert outcome.first is None
     assert outcome.ticks == bench.tick
-    assert again.flight.inputs.hold_ticks == 9
+    assert again.feeder.flight.inputs.hold_ticks == 9

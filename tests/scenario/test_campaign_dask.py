@@ -8,6 +8,8 @@ import signal
 from pathlib import Path
 from typing import Any
 
+import distributed
+import psutil
 import pytest
 
 from bus.errors import UsageError
@@ -18,8 +20,6 @@ from tools.campaign.progress import Silence
 from tools.campaign.results import RunResult, read_results, read_timings
 from tools.campaign.strategies.settings import PlanSettings
 
-psutil = pytest.importorskip("psutil")
-distributed = pytest.importorskip("distributed")
 RUNS = 24
 BASE = "zhang2018-flight"
 PLAN = PlanSettings()

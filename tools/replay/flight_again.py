@@ -41,16 +41,16 @@ class FlightAgain:
 
     def __init__(self, config: FswConfig, tick_ns: int, run_hash: int) -> None:
         """Raises ConfigError where the settings cannot be flown with."""
-        self._feeder = Feeder(config, tick_ns, run_hash)
-        self._sorter = RecordSorter(self._feeder.topics)
+        self.feeder = Feeder(config, tick_ns, run_hash)
+        self._sorter = RecordSorter(self.feeder.topics)
         self.schemas: Mapping[str, str] = self._sorter.schemas
 
     @property
     def mode(self) -> str:
-        return self._feeder.mode
+        return self.feeder.mode
 
     def cycle(self, given: CycleInput) -> Cycle:
-        frames, records = self._feeder.feed(given.tick, given.slips, given.flags, given.commands, given.frames)
+        frames, records = self.feeder.feed(given.tick, given.slips, given.flags, given.commands, given.frames)
         return Cycle(frames, self._sorter.sort(records))
 
 
