@@ -21,6 +21,7 @@ ELSEWHERE = {  # commands that other tests run, because they need a partner, a k
     "hilsat vcan": "test_vcan_runs.py",
     "hilsat inject": "test_break_it.py",
     "hilsat live": "test_live.py: five minutes at the pace of the clock",
+    "hilsat campaign": "test_campaign_shipped.py, test_campaign_verb.py",
     "hilsat run zhang2018 --clock realtime": "test_break_it.py: five minutes each",
 }
 
