@@ -247,3 +247,41 @@ def test_nobody_reads_the_table(tmp_path: Path) -> None:
     ended = subprocess.run(["bash", "-c", words], capture_output=True, text=True, check=False, timeout=60)
     assert "Traceback" not in ended.stderr
     assert ended.stdout.startswith("run")
+
+
+def test_the_word_run_may_be_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """`hilsat campaign run FILE` is `hilsat campaign FILE`."""
+    path = str(write_file(tmp_path))
+    assert main(["campaign", "run", path, "--dry-run"]) == main(["campaign", path, "--dry-run"]) == 0
+    lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("0 ")]
+    assert len(lines) == 2
+    assert lines[0] == lines[1]
+
+
+def test_a_campaign_flown_as_a_scenario_says_how_to_fly_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Not the keys of a scenario that it lacks: both commands that it is for."""
+    path = str(write_file(tmp_path))
+    assert main(["run", path]) == 2
+    err = capsys.readouterr().err
+    assert f"`hilsat campaign {path}`" in err
+    assert f"`hilsat run {path}#N`" in err
+
+
+@pytest.mark.usefixtures("here")
+def test_nothing_required_is_said(tmp_path: Path) -> None:
+    """A run of which nothing is required is not executed, and its reason says that."""
+    path = tmp_path / "bare.yaml"
+    path.write_text("name: bare\nbase: zhang2018-flight\nseed: 1\nset: {duration_s: 0.5, faults: [], expect: []}\n")
+    assert main(["campaign", str(path), "-q", "--out", str(tmp_path / "out")]) == 1
+    (result,) = read_results(tmp_path / "out")
+    assert result.outcome == "not executed"
+    assert result.reason.startswith("nothing is required of it")
+
+
+def test_a_refusal_has_no_progress(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A directory that is there already: one line, and none that says that no run has been flown."""
+    path = str(write_file(tmp_path))
+    (tmp_path / "there").mkdir()
+    (tmp_path / "there" / "file").touch()
+    assert main(["campaign", path, "--out", str(tmp_path / "there")]) == 2
+    assert "runs," not in capsys.readouterr().err

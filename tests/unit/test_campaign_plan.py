@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import textwrap
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -30,6 +31,7 @@ from tools.run.bench import Bench
 
 Write = Callable[..., Path]
 ERROR = "truth.attitude.error_deg"
+CHAIN = {"first": {"formula": "onset_s + 1"}, "later": {"formula": "first + 1"}}
 INDICES = {"kind": "indices", "requirement": "R-1"}
 SEARCH = {"kind": "boundary", "axis": "onset", "lower": 0, "upper": 1, "tolerance": 0.1}
 GOOD: dict[str, Any] = {
@@ -275,6 +277,8 @@ def test_formula_without_a_value(text: str, a: Any) -> None:
         ({"where": ["lwa == 'pid'"]}, "where[0]: there is no axis lwa; did you mean law?"),
         ({"where": ["onset_s > 100"]}, "where: nothing is left: no run keeps to all constraints"),
         ({"where": ["unit < 3"]}, "where[0]: unit < 3: has no value for unit = wheel.1"),
+        ({"where": ["law"]}, "where[0]: law: is 'smc' and no condition; compare it with something"),
+        ({"axes": {**GOOD["axes"], **CHAIN}}, "axes.later.formula: first is computed itself; a formula takes axes that"),
         ({"set": {"duration_s": "$lwa"}}, "set.duration_s: there is no axis lwa; did you mean law?"),
         ({"set": {"duration_s": 20}}, "axes.law: goes nowhere: put $law where it belongs under `set`"),
         ({"set": {"a=b": 20}}, "set.a=b: is not the key of a setting"),
@@ -323,6 +327,17 @@ def test_what_a_scenario_refuses_is_said_of_the_axis(write: Write) -> None:
     assert "run 24: law pdi" in found[0].message
     with pytest.raises(ConfigError, match=r"axes.unit\[1\]"):
         load_campaign(path)
+
+
+def test_the_example_of_the_docs_is_sound(tmp_path: Path) -> None:
+    """The first file of docs/campaigns.md, as it stands there: nothing is wrong with it, and it comes to 15 runs."""
+    page = Path(__file__).parents[2].joinpath("docs", "campaigns.md").read_text()
+    block = page.split("## The file\n\n")[1].split("\n\n")[0]
+    path = tmp_path / "wheel-loss.yaml"
+    path.write_text(textwrap.dedent(block))
+    found = inspect(str(path), (), 400)
+    assert [str(finding) for finding in found.findings] == []
+    assert len(load_campaign(path).points()) == 30
 
 
 def test_every_value_of_every_list_is_tried(write: Write) -> None:

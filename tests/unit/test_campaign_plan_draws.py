@@ -202,6 +202,8 @@ def test_last_bits_do_not_matter() -> None:
         ({"unifrom": [1, 2]}, 'did you mean "uniform"'),
         ({"range": [0, 1]}, "needs step or count"),
         ({"range": [0, 1], "step": 1e-9}, "at most 10000"),
+        ({"range": [1, 2], "step": 0.3}, "does not go from 1 to 2: the last value would be 1.9"),
+        ({"range": [1, 2], "step": 5}, "the last value would be 1"),
         ({"range": [0, 1], "count": 5, "spacing": "log"}, "ends above 0"),
         ({"values": []}, "is empty"),
         ({"cases": []}, "a mapping is needed"),

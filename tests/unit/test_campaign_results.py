@@ -521,6 +521,18 @@ def test_a_campaign_without_numbers_has_a_page(make_results: MakeResults, kind: 
     assert Page((directory / "report.html").read_text()).open == []
 
 
+def test_the_command_is_for_a_shell(make_results: MakeResults, capsys: pytest.CaptureFixture[str]) -> None:
+    """A directory with a space in its name is one word of the command that repeats a run; others stay as they are."""
+    directory = make_results()
+    spaced = directory.rename(directory.parent / "a b")
+    assert main(["campaign", "show", str(spaced)]) == 0
+    told = capsys.readouterr().out
+    assert f"hilsat run {shlex.quote(f'{spaced}#')[:-1]}" in told
+    for line in told.splitlines():
+        if "hilsat run" in line:
+            assert shlex.split(line[line.index("hilsat run") :])[2].startswith(f"{spaced}#")
+
+
 # -- export --------------------------------------------------------------------------------------------------------
 
 
@@ -538,6 +550,17 @@ def test_csv_holds_every_number_exactly(make_results: MakeResults, capsys: pytes
         assert float(row["R-1.value"]) == result.verdicts[0].value
         assert float(row["effort"]) == result.metrics["effort"]
         assert float(row["wall_s"]) == 0.5
+
+
+def test_an_axis_called_like_a_cost_keeps_its_values(
+    make_results: MakeResults, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Wall time has its own column; an axis of that name is beside it, with the values that the runs had."""
+    directory = make_results(edit=lambda r: replace(r, values={**r.values, "wall_s": 7.0 + r.number}))
+    assert main(["campaign", "export", str(directory), "--csv", "-"]) == 0
+    rows = list(csv.DictReader(io.StringIO(capsys.readouterr().out)))
+    assert [float(row["axis.wall_s"]) for row in rows] == [7.0 + number for number in range(len(rows))]
+    assert {row["wall_s"] for row in rows} == {"0.5"}
 
 
 def test_lines_of_results_are_alike(make_results: MakeResults) -> None:

@@ -65,6 +65,9 @@ class Range(ListAxis):
             return ("range",), "needs step or count, one of them"
         if self.step is not None and (upper - lower) / self.step > MOST_LISTED:
             return ("step",), f"{self.step:g} makes {(upper - lower) / self.step:.3g} values; at most {MOST_LISTED}"
+        if self.step is not None and (rest := (upper - lower) / self.step % 1.0) > 1e-6 and rest < 1.0 - 1e-6:
+            last = lower + math.floor((upper - lower) / self.step) * self.step
+            return ("step",), f"{self.step:g} does not go from {lower:g} to {upper:g}: the last value would be {last:g}"
         if self.spacing == "log" and (lower <= 0 or self.step is not None):
             return ("spacing",), "log goes with count, between ends above 0"
         return None

@@ -176,6 +176,9 @@ def allows(formulas: Sequence[Formula], combination: Mapping[str, Item]) -> bool
 
 def _holds(formula: Formula, scope: Mapping[str, Any]) -> bool:
     try:
-        return bool(formula.evaluate(scope))
+        answer = formula.evaluate(scope)
+        if not isinstance(answer, bool):
+            raise FormulaError(f"is {answer!r} and no condition; compare it with something, such as == ...")
+        return bool(answer)
     except FormulaError as error:
         raise FormulaError(f"{formula.text}: {error}") from None

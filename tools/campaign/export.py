@@ -20,22 +20,29 @@ INSTALL = "pip install 'hilsat[parquet]'"
 def make_columns(loaded: Loaded, timings: Sequence[Timing] = ()) -> dict[str, list[Any]]:
     """The table by columns, one entry a run in each.
 
-    number, outcome, reason, base, repeat, seed, log, command; AXIS its value and AXIS.label where it has a name of its
-    own; REQUIREMENT.outcome, .value and .margin; METRIC; wall_s and cpu_s where they are known. A column whose name is
+    number, outcome, reason, base, repeat, seed, log, command, wall_s and cpu_s where there are timings; AXIS its value and
+    AXIS.label where it has a name of its own; REQUIREMENT.outcome, .value and .margin; METRIC. A column whose name is
     taken by one before it gets its kind in front: axis., metric.
     """
-    rows = [_make_row(loaded, *pair) for pair in zip(loaded.results, loaded.outcomes, strict=True)]
     costs = {timing.number: timing for timing in timings}
-    for row, result in zip(rows, loaded.results, strict=True):
-        if costs:
-            timing = costs.get(result.number)
-            row["wall_s"] = None if timing is None else timing.wall_s
-            row["cpu_s"] = None if timing is None else timing.cpu_s
+    rows = [
+        _make_row(loaded, result, outcomes, _find_cost(costs, result.number))
+        for result, outcomes in zip(loaded.results, loaded.outcomes, strict=True)
+    ]
     names = dict.fromkeys(name for row in rows for name in row)
     return {name: [row.get(name) for row in rows] for name in names}
 
 
-def _make_row(loaded: Loaded, result: RunResult, outcomes: Mapping[str, Outcome]) -> dict[str, Any]:
+def _find_cost(costs: Mapping[int, Timing], number: int) -> dict[str, float | None]:
+    """What a run cost, as columns; none where nothing is known of any run."""
+    timing = costs.get(number)
+    known = {name: None if timing is None else getattr(timing, name) for name in ("wall_s", "cpu_s")}
+    return known if costs else {}
+
+
+def _make_row(
+    loaded: Loaded, result: RunResult, outcomes: Mapping[str, Outcome], cost: Mapping[str, float | None]
+) -> dict[str, Any]:
     row: dict[str, Any] = {
         "number": result.number,
         "outcome": result.outcome,
@@ -45,6 +52,7 @@ def _make_row(loaded: Loaded, result: RunResult, outcomes: Mapping[str, Outcome]
         "seed": result.seed,
         "log": result.log,
         "command": loaded.command(result),
+        **cost,
     }
     for axis, value in result.values.items():
         if isinstance(value, str | int | float) or value is None:

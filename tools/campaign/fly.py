@@ -216,9 +216,16 @@ def make_result(
     return RunResult(
         number=plan.number, values=plan.point.values, labels=plan.point.labels, repeat=plan.point.repeat, base=plan.base,
         overrides=plan.overrides, seed=plan.seed, outcome=grade.outcome,
-        reason="" if grade.complete else "the run did not go to its end",
+        reason=_explain(grade),
         verdicts=tuple(map(_note, grade.verdicts)), metrics=metrics, digest=digest, log=log,
     )  # fmt: skip
+
+
+def _explain(grade: Grade) -> str:
+    """What the verdicts do not say of an outcome."""
+    if not grade.complete:
+        return "the run did not go to its end"
+    return "" if grade.required else "nothing is required of it: the scenario expects nothing and has no faults"
 
 
 def fail(plan: RunPlan, reason: str) -> RunResult:

@@ -51,10 +51,11 @@ class Formula:
             raise FormulaError(f"has no value for {shown or 'these numbers'}: {error}") from None
 
 
-def parse_formula(text: str, axes: Collection[str]) -> Formula:
+def parse_formula(text: str, axes: Collection[str], computed: Collection[str] = ()) -> Formula:
     """The formula of a text. Raises FormulaError with what is wrong in it.
 
-    axes : names that may stand in it
+    axes     : names that may stand in it
+    computed : names of axes that may not, because they follow from others themselves
     """
     try:
         body = ast.parse(text.strip(), mode="eval").body
@@ -66,6 +67,8 @@ def parse_formula(text: str, axes: Collection[str]) -> Formula:
     called = {id(node.func) for node in nodes if isinstance(node, ast.Call)}
     for node in nodes:
         _check_node(node)
+        if isinstance(node, ast.Name) and id(node) not in called and node.id in computed:
+            raise FormulaError(f"{node.id} is computed itself; a formula takes axes that are not")
         if isinstance(node, ast.Name) and id(node) not in called and node.id not in axes:
             raise FormulaError(
                 f"there is no axis {node.id[:LONGEST]}; {suggest(node.id, axes)}there are: {', '.join(axes) or 'none'}"

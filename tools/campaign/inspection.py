@@ -113,7 +113,7 @@ class _Check:
         plain = [name for name in order if name not in texts]
         computed = {}
         for name, text in texts.items():
-            if (formula := self._parse(("axes", name, "formula"), text, plain)) is not None:
+            if (formula := self._parse(("axes", name, "formula"), text, plain, list(texts))) is not None:
                 computed[name] = formula
         where = [self._parse(("where", index), text, order) for index, text in enumerate(settings.where)]
         for index, formula in enumerate(where):
@@ -125,9 +125,9 @@ class _Check:
             repeats=settings.repeats,
         )  # fmt: skip
 
-    def _parse(self, path: KeyPath, text: str, names: Sequence[str]) -> Formula | None:
+    def _parse(self, path: KeyPath, text: str, names: Sequence[str], computed: Sequence[str] = ()) -> Formula | None:
         try:
-            return parse_formula(text, names)
+            return parse_formula(text, names, computed)
         except FormulaError as error:
             self.add(path, str(error))
             return None

@@ -68,7 +68,7 @@ class Lines:
         print(f"hilsat campaign: {words}", file=sys.stderr, flush=True)
 
     def close(self) -> None:
-        if self._told != sum(self._counts.values()):
+        if (self._told >= 0 or self._counts) and self._told != sum(self._counts.values()):
             self._tell()
 
     def _tell(self) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import json
+import shlex
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -77,7 +78,12 @@ class Loaded:
 
     def command(self, result: RunResult) -> str:
         """The command that repeats a run."""
-        return f"hilsat run {self.directory}#{result.number}"
+        return f"hilsat run {_quote(f'{self.directory}#{result.number}')}"
+
+
+def _quote(word: str) -> str:
+    """The word for a shell, which leaves a # within a word alone."""
+    return word if shlex.quote(word.replace("#", "")) == word.replace("#", "") else shlex.quote(word)
 
 
 @dataclass(frozen=True, slots=True)

@@ -78,4 +78,4 @@ def _claim(out: Path) -> int:
 
 
 def _say_there(out: Path) -> str:
-    return f"{out} is there already and stays as it is; name another file with -o, or replace it with --force"
+    return f"{out} is there already and stays as it is; name another file, or replace it with --force"

@@ -25,7 +25,7 @@ OTHERS = ("report", "diff", "show", "export")  # what is done with results: word
 
 def expand(words: list[str]) -> list[str]:
     """The words behind `campaign`: a file is run."""
-    if words and words[0] in (*OTHERS, "-h", "--help"):
+    if words and words[0] in ("run", *OTHERS, "-h", "--help"):
         return words
     return ["run", *words]
 

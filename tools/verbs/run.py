@@ -9,7 +9,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from bus.errors import ConfigError, UsageError
 from bus.process import raise_signals
+from tools.config.file_kinds import is_campaign
 from tools.config.loader import load_scenario
 from tools.config.scenario import Resolved
 from tools.config.scenario_files import find_scenario
@@ -59,7 +61,16 @@ def _load(args: argparse.Namespace) -> Resolved:
             if not args.quiet:
                 print(one.words, file=sys.stderr)
             return one.resolved
-    return load_scenario(find_scenario(args.scenario), _overrides(args))
+    path = find_scenario(args.scenario)
+    try:
+        return load_scenario(path, _overrides(args))
+    except ConfigError:
+        if is_campaign(Path(path)):
+            raise UsageError(
+                f"{args.scenario} is a campaign: `hilsat campaign {args.scenario}` flies it, `hilsat run "
+                f"{args.scenario}#N` its run N"
+            ) from None
+        raise
 
 
 def add_ground_options(parser: argparse.ArgumentParser) -> None:
