@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import signal
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +14,14 @@ import psutil
 import pytest
 
 from bus.errors import UsageError
+from tools.campaign.crew import Halt, Order
+from tools.campaign.dask_crew import DaskCrew
+from tools.campaign.fly import Flown, fail
 from tools.campaign.job import Job, Metric, make_job
 from tools.campaign.launch import Options, fly_campaign
 from tools.campaign.plan import Point, RunPlan, derive_seed
 from tools.campaign.progress import Silence
-from tools.campaign.results import RunResult, read_results, read_timings
+from tools.campaign.results import RunResult, Timing, read_results, read_timings
 from tools.campaign.strategies.settings import PlanSettings
 
 RUNS = 24
@@ -119,3 +123,57 @@ def test_no_scheduler(job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     with pytest.raises(UsageError, match=r"tcp://127\.0\.0\.1:9"):
         fly_campaign(HandMade(), job, tmp_path / "out", Options(dask="tcp://127.0.0.1:9"), Silence())
     assert not (tmp_path / "out").exists()
+
+
+class GoneFuture:
+    """A task that is done, whose result can be fetched only when its worker did not die in between."""
+
+    def __init__(self, key: str, flown: Flown | None) -> None:
+        self.key, self._flown = key, flown
+
+    def add_done_callback(self, put: Callable[[Any], None]) -> None:
+        put(self)
+
+    def result(self, timeout: float) -> Flown:
+        if self._flown is None:
+            raise TimeoutError(f"timed out after {timeout} s")
+        return self._flown
+
+    def release(self) -> None:
+        """Nothing is held."""
+
+
+class GoneClient:
+    """A cluster of one worker that loses the first so many results."""
+
+    status = "running"
+
+    def __init__(self, losses: int) -> None:
+        self.losses, self.asked = losses, 0
+
+    def nthreads(self) -> dict[str, int]:
+        return {"worker": 1}
+
+    def submit(self, task: Any, job: Job, plan: RunPlan, *_: Any, key: str, pure: bool) -> GoneFuture:
+        assert not pure
+        self.asked += 1
+        timing = Timing(number=plan.number, wall_s=0.0, cpu_s=0.0, ticks=1, worker="fake")
+        return GoneFuture(key, None if self.asked <= self.losses else Flown(fail(plan, "flown"), timing))
+
+
+@pytest.mark.parametrize(
+    ("losses", "reason"), [(1, "flown"), (3, "flown"), (4, "the cluster gave it up: TimeoutError")]
+)
+def test_a_result_that_went_with_its_worker_is_flown_again(
+    job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, losses: int, reason: str
+) -> None:
+    """The run is flown again up to three times, told once, and given up then."""
+    client, halt = GoneClient(losses), Halt()
+    monkeypatch.setattr(DaskCrew, "_connect", lambda self, *_: setattr(self, "_client", client))
+    monkeypatch.setattr(DaskCrew, "_check_versions", lambda self, address: None)
+    crew = DaskCrew(job, tmp_path, "tcp://127.0.0.1:1", 1, None, halt)
+    told: list[Flown] = []
+    crew.fly([Order(HandMade().plan(0, Point(values={}, labels={})))], told.append)
+    halt.close()
+    assert [flown.result.reason.startswith(reason) for flown in told] == [True]
+    assert client.asked == min(losses, 3) + 1

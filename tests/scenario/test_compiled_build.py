@@ -43,7 +43,7 @@ class Copy(NamedTuple):
         """Run a module to its end."""
         return subprocess.run(
             [sys.executable, "-P", "-m", module, *words], cwd=self.root, env=self.environment(**changes),
-            capture_output=True, text=True, timeout=280, check=False,
+            capture_output=True, text=True, timeout=800, check=False,
         )  # fmt: skip
 
     def version(self, **changes: str) -> str:
@@ -85,6 +85,7 @@ def compiler() -> None:
         pytest.skip(missing)
 
 
+@pytest.mark.timeout(1200)  # it builds: two to five minutes, by what else runs
 @pytest.mark.usefixtures("compiler")
 def test_built_it_computes_the_same_and_is_refused_when_stale(copy: Copy) -> None:
     """One life of a build: said by version and log, equal digests, plain on demand, stale refused at each way in, mended."""

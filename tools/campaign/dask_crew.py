@@ -11,7 +11,7 @@ import logging
 import queue
 import signal
 import threading
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -30,6 +30,7 @@ LOCAL: Final = "local"
 POLL_S: Final = 0.2  # how soon a signal is seen
 LOOK_S: Final = 5.0  # how often it is looked whether the scheduler is still there
 CONNECT_S: Final = 10
+MOST_LOST: Final = 3  # times that a run is flown again because its result went with the worker that held it
 AHEAD: Final = 2  # runs a worker's thread has at most: the one it flies and the next
 MISSING: Final = "--dask needs Dask's scheduler: pip install 'hilsat[cluster]'"
 
@@ -48,6 +49,7 @@ class DaskCrew:
         self._cluster: Any = None
         self._client: Any = None
         self._name = f"hilsat-{uuid4().hex[:12]}"
+        self._lost: Counter[int] = Counter()  # results that could not be fetched, by the run's number
         self._connect(address, jobs, directory)
         self._check_versions(address)
 
@@ -104,7 +106,11 @@ class DaskCrew:
                         self._look()
                     continue
                 order, _ = flying.pop(future.key)
-                on_done(self._take(order, future))
+                flown = self._take(order, future)
+                if flown is None:
+                    waiting.appendleft(order)
+                else:
+                    on_done(flown)
         finally:
             if flying:
                 with contextlib.suppress(Exception):  # a scheduler that is gone has nothing to cancel
@@ -130,14 +136,17 @@ class DaskCrew:
             fly_task, self._job, order.plan, named, self._limit_s, name_program(), key=key, pure=False
         )
 
-    def _take(self, order: Order, future: Any) -> Flown:
-        """What came of a task; for one that killed its workers, that."""
+    def _take(self, order: Order, future: Any) -> Flown | None:
+        """What came of a task; for one that killed its workers, that. None: it went with its worker, and is flown again."""
         try:
             flown = future.result(timeout=CONNECT_S)
             assert isinstance(flown, Flown)
             return flown
         except Exception as error:
             self._look()
+            if isinstance(error, TimeoutError | OSError) and self._lost[order.plan.number] < MOST_LOST:
+                self._lost[order.plan.number] += 1
+                return None
             words = " ".join(str(error).split())
             timing = Timing(number=order.plan.number, wall_s=0.0, cpu_s=0.0, ticks=0, worker="dask")
             return Flown(fail(order.plan, f"the cluster gave it up: {type(error).__name__}: {words}"), timing)
