@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from bus.errors import ConfigError
 from bus.telemetry.link import Field, TickPacker, Topic, announce_topics
-from tools.config.expect import Above, Below, Settles
+from tools.config.expect import Above, Below, EventCount, Settles
 from tools.config.loader import load_scenario
 from tools.config.scenario_files import find_scenario
 from tools.grading.judge import judge
@@ -127,3 +128,30 @@ def test_a_moment_that_cannot_come_is_named_at_check_time(after: str, words: str
 def test_with_faults_by_command_the_name_may_come_later() -> None:
     """Where faults may be injected, a fault that the scenario does not have is no mistake."""
     load_scenario(find_scenario("zhang2018"), ["expect[0].after='fault mine'", "inject=allowed"])
+
+
+@pytest.mark.parametrize(
+    ("item", "words"),
+    [
+        (
+            Below(check="below", name="x", signal="truth.x.error", bound=99, until_s=45, after="fault wheel.2"),
+            "ends at 65 s",
+        ),
+        (
+            EventCount(check="event_count", name="x", event="zzz", at_most=0, from_s=41, after="fault wheel.2"),
+            "starts at 61 s",
+        ),
+        (
+            Settles(check="settles", name="x", signal="truth.x.error", bound=5, by_s=45, after="fault wheel.2"),
+            "goes at least to its by_s at 65 s",
+        ),
+    ],
+)
+def test_what_lies_behind_the_end_of_the_run_is_no_pass(tmp_path: Path, item: Any, words: str) -> None:
+    """The fault bites at 20 s of a run of 60 s: 40 s and no more can be judged from there, whatever the values are."""
+    run = write_log(tmp_path / "x.mcap")
+    timetable = Timetable(600, 10.0)
+    verdict = judge(run, item, check_completeness(run, timetable), timetable)
+    assert verdict.outcome == "not executed"
+    assert words in verdict.detail
+    assert "the run ends at 60 s" in verdict.detail

@@ -73,3 +73,17 @@ def test_the_verb_writes_it_beside_the_table(tmp_path: Path, capsys: pytest.Capt
     assert main(["grade", *logs, "--junit", str(out)]) == 2
     assert main(["grade", logs[0], "--junit", str(out), "--force"]) == 0
     assert "Traceback" not in capsys.readouterr().err
+    for inputs in ((logs[0], logs[1]), (logs[0], "--against", logs[1])):
+        before = Path(logs[1]).read_bytes()
+        assert main(["grade", *inputs, "--junit", logs[1], "--force"]) == 2
+        assert Path(logs[1]).read_bytes() == before
+
+
+def test_a_log_that_ends_early_says_nothing_of_senders(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """What must hold to the end of the run is not executed in a log that does not go there."""
+    log = tmp_path / "short.mcap"
+    with Bench.open("zhang2018", ["duration_s=3", "faults=[]", "expect=[]"], log=log) as bench:
+        bench.step(10)
+    assert main(["grade", str(log)]) == 1
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if "two senders" in line]
+    assert line.strip().startswith("NOT EXECUTED")

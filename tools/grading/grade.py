@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -122,7 +122,7 @@ def grade_run(run: Run, resolved: Resolved, more: Sequence[Expectation] = (), re
     verdicts = [judge(run, item, completeness, timetable, reference) for item in expect]
     verdicts += judge_faults(faults, scenario.faults, completeness, timetable)
     if not any(fault.effect.brings_rivals for fault in scenario.faults):
-        verdicts.append(judge_senders(run))
+        verdicts.append(_need_end(judge_senders(run), _complete(run, timetable)))
     verdicts.append(_judge_completeness(completeness))
     required = len(expect) + len(scenario.faults)
     return Grade(scenario.name, tuple(verdicts), _complete(run, timetable), required, len(more))
@@ -143,6 +143,13 @@ def _prefetch(run: Run, expressions: list[str]) -> None:
         run.prefetch(wanted)
     except RecordError:
         return
+
+
+def _need_end(verdict: Verdict, complete: bool) -> Verdict:
+    """What must hold to the end of the run is not executed where the log does not go there."""
+    if complete or not verdict.passed:
+        return verdict
+    return replace(verdict, outcome="not executed", detail="the log does not go to the end of the run")
 
 
 def _judge_completeness(completeness: Completeness) -> Verdict:

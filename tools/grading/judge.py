@@ -80,6 +80,8 @@ def _judge(
     is_last_in = until_s < ended_s or item.until is None
     span = (start_s, item.from_s, min(until_s, ended_s))
     notes = ""
+    if timetable is not None and item.after is not None and (late := _explain_late(item, span, timetable)):
+        return _unexecuted(item, late)
     if completeness is not None and timetable is not None:
         missing, notes = _list_missing(run, item, span, completeness, timetable)
         if missing:
@@ -96,6 +98,18 @@ def _judge(
         with np.errstate(all="ignore"):
             verdict = _judge_window(run, item, window, reference)
     return _add_note(verdict, "; ".join(word for word in (notes, _say_moments(item, span)) if word))
+
+
+def _explain_late(item: Expectation, span: tuple[float, float, float], timetable: Timetable) -> str:
+    """Why a window or a time that counts from a moment of the run is not seen whole; empty where it is."""
+    start_s, from_s, until_s = span
+    end_s = timetable.ticks / timetable.tick_hz
+    by_s = getattr(item, "by_s", None) or 0.0
+    times = {"starts": from_s, "ends": until_s if math.isfinite(until_s) else 0.0, "goes at least to its by_s": by_s}
+    for what, time_s in times.items():
+        if start_s + time_s > end_s + SLACK_S:
+            return f"the window {what} at {start_s + time_s:g} s, the run ends at {end_s:g} s"
+    return ""
 
 
 def _judge_window(run: Run, item: Judging, window: Window, reference: Run | None) -> Verdict:

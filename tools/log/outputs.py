@@ -50,7 +50,7 @@ def _is_device(path: Path) -> bool:
 
 def _refuse(out: Path, sources: Sequence[Path], force: bool) -> None:
     if out.exists() and any(source.exists() and os.path.samefile(out, source) for source in sources):
-        raise UsageError(f"{out}: this is the log that is read; name another file with -o")
+        raise UsageError(f"{out}: this is the log that is read, or another input; name another file")
     if out.is_dir():
         raise UsageError(f"{out}: this is a directory; name a file with -o")
     if os.path.lexists(out) and not force:

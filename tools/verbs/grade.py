@@ -69,6 +69,6 @@ def run(args: argparse.Namespace) -> int:
     if args.junit is not None:
         from tools.grading.junit import make_junit
 
-        with create(args.junit, logs[0], args.force) as path:
+        with create(args.junit, [*logs, *files, *([args.against] if args.against else [])], args.force) as path:
             path.write_bytes(make_junit(grades))
     return code
