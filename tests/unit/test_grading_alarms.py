@@ -123,6 +123,14 @@ def test_isolation_is_the_own_alarm_and_no_other(tmp_path: Path) -> None:
     assert isolates(write_log(tmp_path / "g.mcap", FAULTS, {})).outcome == "fail"
 
 
+def test_the_alarms_of_another_family_isolate_nothing(tmp_path: Path) -> None:
+    """A vector of four, its second element up behind a fault of gyro.y: wheels' alarms, which say nothing of a gyro."""
+    faults: tuple[Fault, ...] = (("turn", "gyro.y", 10.0, 10.0, 20.0),)
+    verdict = isolates(write_log(tmp_path / "a.mcap", faults, {1: [(11.0, 20.0)]}), fault="gyro.*")
+    assert verdict.outcome == "not executed"
+    assert "gyro has 3 alarms" in verdict.detail
+
+
 def test_false_alarms_are_those_outside_of_faults(tmp_path: Path) -> None:
     """The alarm stays 1 s behind the first fault, which is its margin; one at 30 s is false, with two samples."""
     run = write_log(tmp_path / "run.mcap", FAULTS, USUAL)

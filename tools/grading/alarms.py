@@ -16,6 +16,7 @@ from tools.grading.verdict import Outcome, Verdict, decide
 from tools.grading.window import Floats, Window
 
 PLACES: Final = {"1": 0, "2": 1, "3": 2, "4": 3, "x": 0, "y": 1, "z": 2}  # of a unit in a vector, by its name's end
+SIZES: Final = {"wheel": 4, "gyro": 3}  # elements that a family of units has in a vector
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +68,9 @@ def _explain_places(spells: list[Spell], width: int) -> str | None:
     """Why a unit has no element in a vector of this width; None when each has one."""
     for spell in spells:
         for unit in parts_of(spell.unit):
+            family = unit.partition(".")[0]
+            if SIZES.get(family, width) != width:
+                return f"{family} has {SIZES[family]} alarms; a vector of {width} is another unit's"
             place = PLACES.get(unit.rpartition(".")[2])
             if place is None or place >= width:
                 return f"{unit} has no element in a vector of {width}"
