@@ -119,13 +119,14 @@ def grade_run(run: Run, resolved: Resolved, more: Sequence[Expectation] = (), re
     _prefetch(run, [expression for item in expect for expression in expressions_of(item)])
     faults = run.faults  # read before the damage is counted
     completeness = check_completeness(run, timetable)
+    complete = _complete(run, timetable)
     verdicts = [judge(run, item, completeness, timetable, reference) for item in expect]
     verdicts += judge_faults(faults, scenario.faults, completeness, timetable)
     if not any(fault.effect.brings_rivals for fault in scenario.faults):
-        verdicts.append(_need_end(judge_senders(run), _complete(run, timetable)))
+        verdicts.append(_need_end(judge_senders(run), complete))
     verdicts.append(_judge_completeness(completeness))
     required = len(expect) + len(scenario.faults)
-    return Grade(scenario.name, tuple(verdicts), _complete(run, timetable), required, len(more))
+    return Grade(scenario.name, tuple(verdicts), complete, required, len(more))
 
 
 def _prefetch(run: Run, expressions: list[str]) -> None:
