@@ -9,13 +9,14 @@ LONGEST = 40  # characters of a text that a message repeats
 
 
 def describe(data: object) -> str:
-    """A value as a message shows it, short."""
+    """A value as a message shows it, short and on one line: what cannot be printed is escaped as JSON does it."""
     if data is None:
         return "nothing"
     if isinstance(data, bool):
         return "true" if data else "false"
     if isinstance(data, str):
-        return json.dumps(data if len(data) <= LONGEST else data[: LONGEST - 3] + "...", ensure_ascii=False)
+        text = json.dumps(data if len(data) <= LONGEST else data[: LONGEST - 3] + "...", ensure_ascii=False)
+        return text if text.isprintable() else "".join(c if c.isprintable() else json.dumps(c)[1:-1] for c in text)
     if isinstance(data, dict):
         return "a mapping"
     if isinstance(data, list | tuple):

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
 
 from bus.errors import ConfigError
+from bus.words import describe
 from tools.config.loader import examine, load_scenario
 
 GOOD = """\
@@ -295,3 +297,13 @@ def test_large_file_is_not_read(tmp_path: Path) -> None:
     with file.open("wb") as out:
         out.truncate(5_000_000)
     assert one_problem(file) == f"{file}: is larger than 1 MB: not a scenario file"
+
+
+@pytest.mark.parametrize("text", ["\x85", "a\u2028b", "\u2029", "\x1b[2J", "\x7f", "a\nPASS: b"])
+def test_a_text_never_breaks_the_line_of_its_message(text: str) -> None:
+    """Control characters and line ends, those above ASCII too, are escaped as JSON does it; letters are not."""
+    words = describe(text)
+    assert len(words.splitlines()) == 1
+    assert words.isprintable()
+    assert json.loads(words) == text
+    assert describe("Größe °") == '"Größe °"'
